@@ -64,7 +64,7 @@ def tell(core, now, kind, *values):
 @given(st.lists(messages, max_size=25), st.booleans())
 def test_no_sequence_of_messages_breaks_limits_or_rates(sequence, pull_mode):
     core = ControllerCore(model(), Settings(rate_limit=RATE, pull_mode=pull_mode))
-    low, high = core.settings.limits(core.model).T
+    low, high = core.limits.T
     now, before, began_again = 0.0, None, True
     core.measured(now, np.full(4, 0.3), np.zeros(4))
     for message in sequence:

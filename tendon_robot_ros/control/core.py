@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.errors import DriverError, TendonRobotError
+from ..common.errors import DriverError
 from ..drivers.safety import CYCLE_MAX_S, approach, bounded
+from ..model.model import Model
+from ..model.shape import Reach, Shape
 from .inputs import Output, Refusal, Target, Trajectory, Twist, another_robot
 from .modes import FollowTarget, FollowTwist, NullSpace, PlayTrajectory, PullPath
+from .solver import Failure, GiveUp
 from .state import ControllerState, Mode, ShapeTracker
 from .target_search import (
     FIRST_ANSWER_S,
@@ -25,11 +27,6 @@ from .target_search import (
     search_work,
 )
 from .tip_loop import TipLoop
-
-if TYPE_CHECKING:
-    from ..model.model import Model
-    from ..model.shape import Reach, Shape
-    from .solver import GiveUp
 
 
 @dataclass
@@ -81,7 +78,7 @@ class ControllerCore(ControllerState):
         else:
             self.mode = mode = FollowTwist(twist, now)
 
-            def begin(shape: Shape | None, error: TendonRobotError | None) -> None:
+            def begin(shape: Shape | None, error: Failure) -> None:
                 if shape is not None:
                     self.track.accept(shape)
                 mode.begin(shape, error)
@@ -127,7 +124,7 @@ class ControllerCore(ControllerState):
             begun = trajectory.begin(0.0, command)
             return keep_out_refusal(model, start, begun, settings.keep_out, settings.pull_mode)
 
-        def done(refusal: Refusal | None, error: TendonRobotError | None) -> None:
+        def done(refusal: Refusal | None, error: Failure) -> None:
             if self.pending_trajectory is not trajectory:
                 return  # a newer command has replaced it
             self.pending_trajectory = None
@@ -155,9 +152,7 @@ class ControllerCore(ControllerState):
         self.driver.dropped = None
         self.driver.lost = True
 
-    def set_model(
-        self, model: Model, on_done: Callable[[TendonRobotError | None], None] | None = None
-    ) -> None:
+    def set_model(self, model: Model, on_done: Callable[[Failure], None] | None = None) -> None:
         """
         Change the model; tensions then move to its solution at `rate_limit`.
 
@@ -170,9 +165,7 @@ class ControllerCore(ControllerState):
         """
         target = self.target
 
-        def done(
-            solved: tuple[Shape | None, Reach | None] | None, error: TendonRobotError | None
-        ) -> None:
+        def done(solved: tuple[Shape | None, Reach | None] | None, error: Failure) -> None:
             if solved is not None:
                 self._use(model, target, *solved)
             if on_done is not None:
@@ -226,7 +219,7 @@ class ControllerCore(ControllerState):
             if self.search is search:
                 self._follow(search, Approach(solution), False)
 
-        def done(result: SearchResult | None, error: TendonRobotError | None) -> None:
+        def done(result: SearchResult | None, error: Failure) -> None:
             self._finish_search(search, result or SearchResult(None, str(error), True))
 
         work = search_work(self, search, budget, report)
@@ -306,8 +299,7 @@ class ControllerCore(ControllerState):
     def resumed(self) -> None:
         """Continue from the measured state after the driver has resumed."""
         self.driver.resumed()
-        self._forget_refusal('released')
-        self._forget_refusal('driver_stopped')
+        self._forget_refusal('released', 'driver_stopped')
 
     def not_resumed(self, problem: str) -> None:
         """Refuse the waiting command: the cause of the release still exists."""
@@ -315,10 +307,10 @@ class ControllerCore(ControllerState):
             self.driver.waiting = None
             self.refusals['target'] = Refusal('released', f'target refused: {problem}')
 
-    def _forget_refusal(self, code: str) -> None:
+    def _forget_refusal(self, *codes: str) -> None:
         """Forget the refusal of a target with a code whose cause is over."""
         refusal = self.refusals.get('target')
-        if refusal is not None and refusal.code == code:
+        if refusal is not None and refusal.code in codes:
             del self.refusals['target']
 
     @property
@@ -422,7 +414,7 @@ class ControllerCore(ControllerState):
         if self.pulls is not None and self.tracks_pulls:
             find = track.held_work(find)
 
-        def done(shape: Shape | None, error: TendonRobotError | None) -> None:
+        def done(shape: Shape | None, error: Failure) -> None:
             if track is not self.track:
                 return  # of the previous model
             if shape is None:
@@ -467,9 +459,7 @@ class ControllerCore(ControllerState):
             tensions = bounded(state.in_newtons(model, limits, guess, unknown), limits)
             return tensions, state.complete(model, tensions) if pull else None
 
-        def done(
-            solved: tuple[Floats, Floats | None] | None, error: TendonRobotError | None
-        ) -> None:
+        def done(solved: tuple[Floats, Floats | None] | None, error: Failure) -> None:
             if self._syncing is not syncing:
                 return
             self._syncing = None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,13 +12,9 @@ from ..common.errors import InputError
 from ..common.rotations import from_quaternion
 from ..common.words import LISTED_MAX, NAME_LENGTH_MAX
 from ..drivers.safety import bounded
-from ..model.tip_task import limits_by_pulls
+from ..model.tip_task import Preferences
 from ..robot import Robot
 from ..robot.keep_out import KeepOut
-
-if TYPE_CHECKING:
-    from ..model.model import Model
-    from ..model.tip_task import Preferences
 
 # [s] between targets: faster ones are a stream, slower ones setpoints, because a person sends less
 # than four per second
@@ -54,10 +49,6 @@ class Settings:
     look_ahead: float = 0.0  # [s] by which streamed targets are extrapolated
     drive_lag: float = 0.0  # [s] time constant with which tensions follow the command
     tracker_delay: float = 0.0  # [s] from the exposure of the tracker to its message
-
-    def limits(self, model: Model) -> Floats:
-        """Return tension limits (m, 2) [N]; in pull mode wires may be slack."""
-        return limits_by_pulls(model) if self.pull_mode else model.limits
 
 
 @dataclass(frozen=True)
@@ -157,10 +148,6 @@ class Trajectory:
     def at(self, now: float) -> Floats:
         """Return the values (m,) at a time [s]."""
         return interpolated(now - self.began, self.times, self.values)
-
-    def over(self, now: float) -> bool:
-        """Whether the end is reached in time."""
-        return bool(now - self.began >= self.times[-1])
 
     def passed(self, now: float) -> float:
         """Return the played time [s]."""

@@ -10,7 +10,6 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,17 +23,14 @@ from ..common.processes import (
     go_with_others,
 )
 from ..effects import Catalogue, load_catalogue
+from ..model.compile import kernel_key
+from ..model.model import Model
 from ..robot import Robot, dump_robot, parse_robot
 from .inputs import check_inputs
-
-if TYPE_CHECKING:
-    from ..model.model import Model
 
 
 def load(robot: Robot, catalogue: Catalogue) -> Model:
     """Return a model, compiled by a call of every function that a controller uses."""
-    from ..model.model import Model
-
     model = Model(robot, catalogue)
     tensions = np.clip(np.full(len(model.inputs), 0.2), model.limits[:, 0], model.limits[:, 1])
     shape = model.shape(tensions)
@@ -50,8 +46,6 @@ def load(robot: Robot, catalogue: Catalogue) -> Model:
 
 def compiled_mark(catalogue: Catalogue) -> Path:
     """Return the file that marks the kernel of a catalogue as complete in the cache."""
-    from ..model.compile import kernel_key
-
     return cache_folder() / f'tendon_robot_kernel_{kernel_key(catalogue)}' / 'controller_ready'
 
 

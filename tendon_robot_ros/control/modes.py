@@ -13,30 +13,26 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.errors import TendonRobotError
 from ..common.estimation import ITERATIONS_MAX
 from ..common.rotations import rotated
 from ..drivers.safety import CYCLE_MAX_S, approach, bounded
+from ..model.derivatives import TipStiffness
 from ..model.inverse import POSITION_TOLERANCE_M, TOLERANCE_COST_M2, WORTHWHILE_MAX, judged
+from ..model.model import Model
 from ..model.program import STEP_MAX
 from ..model.pulls import command
 from ..model.redundancy import Balance, balanced
+from ..model.shape import Reach, Shape
+from ..model.tip_task import Preferences
 from .inputs import Target, Trajectory, Twist
-from .solver import GiveUp
+from .solver import Failure, GiveUp
 from .state import ControllerState, MeasuredState, Mode, Settling
 from .target_search import STREAM_LENGTH, Approach, SearchRequest, tip_task
 from .tip_estimator import NullSpaceMotion
-
-if TYPE_CHECKING:
-    from ..model.derivatives import TipStiffness
-    from ..model.model import Model
-    from ..model.shape import Reach, Shape
-    from ..model.tip_task import Preferences
 
 # [s] budget of the solver, and period of the stiffness, so that targets hardly wait for either
 SOLVER_PERIOD_S = 0.5
@@ -73,10 +69,9 @@ class FollowTarget(Mode):
     def step(self, state: ControllerState, passed: float) -> Floats | None:
         """Return the next tensions to pass, then those of the target."""
         if self.via and _same(state.command, self.via[0]):
-            measured, settled = state.driver.tensions, True
-            if measured is not None and state.command is not None and not state.settings.pull_mode:
-                settled = self._settling.settled(state.time, state.command, measured, state.limits)
-            if settled:
+            measured = None if state.settings.pull_mode else state.driver.tensions
+            settled = self._settling.settled
+            if measured is None or settled(state.time, self.via[0], measured, state.limits):
                 self.via.pop(0)
         elif self._unsure(state) and _same(state.command, self.reach.tensions):
             self._look_back(state, self.reach.tensions)
@@ -110,7 +105,7 @@ class FollowTarget(Mode):
             return
         now = task.cost(here)
 
-        def done(path: Approach | None, error: TendonRobotError | None) -> None:
+        def done(path: Approach | None, error: Failure) -> None:
             if path is not None and task.cost(path.reach.shape) < now:
                 self.reach = path.reach
             else:
@@ -133,7 +128,7 @@ class FollowTwist(Mode):
     problem: str = ''  # why there are no tensions for it
     _due: float = 0.0  # [s] of motion that is not yet requested
 
-    def begin(self, shape: Shape | None, error: TendonRobotError | None) -> None:
+    def begin(self, shape: Shape | None, error: Failure) -> None:
         """Begin at a shape; without one the error ends the twist."""
         if shape is None:
             self.problem = str(error)
@@ -156,7 +151,7 @@ class FollowTwist(Mode):
             # farther ahead, the desired tip would come back late
             ahead_max = 0.1 * STREAM_LENGTH * state.model.robot.length
 
-            def done(path: Approach | None, error: TendonRobotError | None) -> None:
+            def done(path: Approach | None, error: Failure) -> None:
                 if path is None:
                     self.problem = str(error)
                     return
@@ -264,7 +259,7 @@ class PullPath:
             command(track.model, shape, past, pulls)
             return shape
 
-        def done(shape: Shape | None, error: TendonRobotError | None) -> None:
+        def done(shape: Shape | None, error: Failure) -> None:
             if track is not state.track:
                 return
             if shape is None:
@@ -290,7 +285,7 @@ class PullPath:
         def work(give_up: GiveUp) -> Floats:
             return bounded(measured.in_newtons(model, limits, guess, tensions), limits)
 
-        def done(tensions: Floats | None, error: TendonRobotError | None) -> None:
+        def done(tensions: Floats | None, error: Failure) -> None:
             if tensions is not None:
                 self._played = tensions
 
@@ -358,9 +353,7 @@ class NullSpace:
             reach = None if posture is None else judged(task, posture.inputs, posture.state)
             return tensions, np.inf, reach
 
-        def done(
-            solved: tuple[Floats, float, Reach | None] | None, error: TendonRobotError | None
-        ) -> None:
+        def done(solved: tuple[Floats, float, Reach | None] | None, error: Failure) -> None:
             if state.solution is not solution or self._valid_for is not valid_for:
                 return
             self._over = True
@@ -383,7 +376,7 @@ class NullSpace:
             return
         held = state.settings.pull_mode
 
-        def done(stiffness: TipStiffness | None, error: TendonRobotError | None) -> None:
+        def done(stiffness: TipStiffness | None, error: Failure) -> None:
             self.stiffness, motion = stiffness, state.loop.motion
             if stiffness is None or motion is None or preferences is None:
                 return

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from math import inf
 from typing import Any
 
 from ..common.errors import TendonRobotError
@@ -15,8 +15,9 @@ from ..common.processes import ComputingThread, RealtimeLoan, switch_often
 from ..model.tip_task import Patience
 
 GiveUp = Callable[[], bool]
-Work = Callable[[GiveUp], Any]  # reads no state that the control thread changes
-Done = Callable[[Any, TendonRobotError | None], None]
+type Work[T] = Callable[[GiveUp], T]  # reads no state that the control thread changes
+Failure = TendonRobotError | None  # why a job has no result; None: it has one
+Done = Callable[[Any, Failure], None]
 SOLVER = 'solver'  # name of the thread
 
 
@@ -24,7 +25,7 @@ class Solver:
     """Evaluates the model at once, in the calling thread; see `Worker`."""
 
     def post(
-        self, kind: str, work: Work, done: Done, budget: float = math.inf, urgent: bool = False
+        self, kind: str, work: Work[Any], done: Done, budget: float = inf, urgent: bool = False
     ) -> None:
         """
         Post a job; of several jobs of one kind only the newest matters.
@@ -65,7 +66,7 @@ class Solver:
 
 @dataclass
 class _Job:
-    work: Work
+    work: Work[Any]
     done: Done
     give_up: Patience
     urgent: bool
@@ -98,7 +99,7 @@ class Worker(Solver):
         self._thread.start()
 
     def post(
-        self, kind: str, work: Work, done: Done, budget: float = math.inf, urgent: bool = False
+        self, kind: str, work: Work[Any], done: Done, budget: float = inf, urgent: bool = False
     ) -> None:
         """Queue a job for the thread."""
         job = _Job(work, done, Patience(budget), urgent, kind)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,15 +20,14 @@ from ..common.local_stop import SILENCE_S
 from ..drivers.interface import SETTLED_S
 from ..drivers.safety import StopLatch, bounded
 from ..model.compile import GAP_ACCEPTED_M
+from ..model.model import Model
 from ..model.program import RANGE_TOLERANCE, bounded_least_squares
 from ..model.pulls import transmitted
 from ..model.shape import Reach, Shape
+from ..model.tip_task import limits_by_pulls
 from .inputs import Refusal, Settings, Target, Trajectory, Twist
-from .solver import GiveUp, Solver
+from .solver import GiveUp, Solver, Work
 from .tip_estimator import NOISE_SAMPLES, NullSpaceMotion, TipEstimate, bias_part
-
-if TYPE_CHECKING:
-    from ..model.model import Model
 
 GO_ON = 'send another target or call reset'
 # [1] standard deviations; one reading of 16,000 is beyond by chance
@@ -70,9 +69,8 @@ class MeasuredState:
         if not known.any():
             return unknown
         low, high = limits.T
-        passed = transmitted(
-            model, self.pulls[None], None if guess is None else guess.memory.copy()
-        )[0]
+        memory = None if guess is None else guess.memory.copy()
+        passed = transmitted(model, self.pulls[None], memory)[0]
         try:
             shape = model.follow_pulls(guess, self.pulls)
             if np.all((shape.inputs >= low) & (shape.inputs <= high)):
@@ -85,9 +83,7 @@ class MeasuredState:
                 moved = [model.shape(tensions + row, current.state).pulls for row in np.diag(side)]
                 slopes = ((np.array(moved) - current.pulls) / side[:, None]).T[known]
                 miss = (passed - current.pulls)[known]
-                tensions = tensions + bounded_least_squares(
-                    slopes, miss, low - tensions, high - tensions
-                )
+                tensions += bounded_least_squares(slopes, miss, low - tensions, high - tensions)
         except (NoEquilibriumError, InputError):
             return unknown
         return np.clip(tensions, low, high)
@@ -310,14 +306,12 @@ class ShapeTracker:
         if not (self._way and np.array_equal(pulls, self._way[-1])):
             self._way.append(pulls)
 
-    def shape_work(
-        self, tensions: Floats, before: Shape | None = None
-    ) -> Callable[[GiveUp], Shape]:
+    def shape_work(self, tensions: Floats, before: Shape | None = None) -> Work[Shape]:
         """Return solver work: the shape under tensions (m,) [N] after `before` or the last one."""
         model, before = self.model, before or self.last
         return lambda give_up: model.follow(before, tensions)
 
-    def held_work(self, otherwise: Callable[[GiveUp], Shape]) -> Callable[[GiveUp], Shape]:
+    def held_work(self, otherwise: Work[Shape]) -> Work[Shape]:
         """Return solver work: the shape at the commanded pulls, `otherwise` without one."""
         model, shape, way = self.model, self._last, self._way[::-1]
         self._followed, step = len(way), max(-(-len(way) // WAY_MAX), 1)
@@ -427,8 +421,8 @@ class ControllerState:
 
     @property
     def limits(self) -> Floats:
-        """Limits of the tensions (m, 2) [N]."""
-        return self.settings.limits(self.model)
+        """Limits of the tensions (m, 2) [N]; in pull mode wires may be slack."""
+        return limits_by_pulls(self.model) if self.settings.pull_mode else self.model.limits
 
     @property
     def target(self) -> Target | None:
@@ -502,7 +496,3 @@ class ControllerState:
         """Whether the last measurement of the driver is recent."""
         state = self.driver.state
         return state is not None and now - state.time <= self.settings.state_timeout
-
-    def follows(self, now: float) -> bool:
-        """Whether the driver follows commands and its last measurement is recent."""
-        return not (self.latch or self.driver.stopped) and self.fresh(now)

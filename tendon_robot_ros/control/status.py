@@ -9,19 +9,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import degrees
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ..common.arrays import Floats
+from ..model.shape import Reach
+from .core import ControllerCore
 from .inputs import Refusal, Target, Trajectory
 from .modes import FollowTarget
 from .state import GO_ON, Mode
 from .tip_loop import foreign
-
-if TYPE_CHECKING:
-    from ..model.shape import Reach
-    from .core import ControllerCore
 
 OK, WARN, ERROR = 'ok', 'warn', 'error'
 ARRIVED = 'reached', 'played'
@@ -114,9 +112,9 @@ def activity(core: ControllerCore, now: float) -> ControllerStatus:
     if core.jogging:
         return ControllerStatus(OK, 'jogging', 'following a twist')
     if core.playing is not None:
-        if core.playing.over(now) and not core.moving:
-            return ControllerStatus(OK, 'played', 'at the end of the trajectory of the tendons')
         passed, whole = core.playing.passed(now), core.playing.times[-1]
+        if passed == whole and not core.moving:
+            return ControllerStatus(OK, 'played', 'at the end of the trajectory of the tendons')
         message = f'playing a trajectory: {passed:.2f} of {whole:.2f} s'
         return ControllerStatus(OK, 'playing', message)
     if core.solution is None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +18,11 @@ from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
 from ..common.estimation import ITERATIONS_MAX
 from ..model.inverse import JUMP_MAX, POSITION_TOLERANCE_M, reach
+from ..model.model import Model
 from ..model.program import STEP_MAX
-from ..model.shape import Reach
+from ..model.shape import Reach, Shape
 from ..model.tip_task import COLD, STREAM, TRACK, Patience, Policy, TipTask
+from ..robot.keep_out import Clearance, KeepOut
 from .inputs import (
     STREAM_PERIOD_S,
     Refusal,
@@ -31,16 +32,11 @@ from .inputs import (
     another_robot,
     check_inputs,
 )
-from .solver import GiveUp
+from .solver import GiveUp, Work
 from .state import ControllerState
 
-if TYPE_CHECKING:
-    from ..model.model import Model
-    from ..model.shape import Shape
-    from ..robot.keep_out import Clearance, KeepOut
-
 Report = Callable[[Reach], None]  # called with the best solution so far
-Solve = Callable[['Shape', Floats], 'Shape']
+Solve = Callable[[Shape, Floats], Shape]
 APPROACHES = 'any', 'from_below'
 # [1] of the time between targets of a stream, because the evaluation of the shape needs the rest
 STREAM_BUDGET = 0.8
@@ -148,7 +144,7 @@ class SearchResult:
 
 def search_work(
     core: ControllerState, search: TargetSearch, budget: float, report: Report
-) -> Callable[[GiveUp], SearchResult]:
+) -> Work[SearchResult]:
     """
     Return solver work: a search within a budget [s].
 
@@ -368,12 +364,12 @@ class SearchRequest:
 
         An arm that is inside a region already may leave it: only deeper postures are refused.
         """
-        regions, shape, ends = self.settings.keep_out, start, (*path.via, path.reach.tensions)
-        allowed = _allowed(start, regions)
-        for leg, _, new, near in _postures(self.model.follow, start, start.inputs, ends, regions):
-            if near.distance < allowed:
+        shape, ends = start, (*path.via, path.reach.tensions)
+        steps = _postures(self.model.follow, start, start.inputs, ends, self.settings.keep_out)
+        for leg, _, new, entered in steps:
+            if entered is not None:
                 errors = self._task(start).errors(shape)
-                return Approach(Reach(shape, *errors, 'nearest', (), near.region), ends[:leg])
+                return Approach(Reach(shape, *errors, 'nearest', (), entered.region), ends[:leg])
             shape = new
         return path
 
@@ -393,9 +389,7 @@ def is_nearer(core: ControllerState, target: Target, solution: Reach) -> bool:
     return last is None or task.cost(solution.shape) < task.cost(last)
 
 
-def model_work(
-    core: ControllerState, model: Model
-) -> Callable[[GiveUp], tuple[Shape | None, Reach | None]]:
+def model_work(core: ControllerState, model: Model) -> Work[tuple[Shape | None, Reach | None]]:
     """
     Return solver work: the present shape by a new model, and its solution for the current target.
 
@@ -505,12 +499,11 @@ def keep_out_refusal(
     """
     solve = model.follow_pulls if pull else model.follow
     begin, times, time = start.pulls if pull else start.inputs, (0.0, *trajectory.times), 0.0
-    code, allowed = 'keep_out', _allowed(start, keep_out)
     try:
-        for leg, part, _, near in _postures(solve, start, begin, trajectory.values, keep_out):
+        for leg, part, _, entered in _postures(solve, start, begin, trajectory.values, keep_out):
             time = times[leg] + part * (times[leg + 1] - times[leg])
-            if near.distance < allowed:
-                problem = f'at {time:.2f} s the arm would enter {near.region}'
+            if entered is not None:
+                code, problem = 'keep_out', f'at {time:.2f} s the arm would enter {entered.region}'
                 break
         else:
             return None
@@ -522,20 +515,17 @@ def keep_out_refusal(
     return Refusal(code, f'tendon_trajectory: {problem}; nothing of it was played')
 
 
-def _allowed(start: Shape, keep_out: KeepOut) -> float:
-    """Return the clearance [m] that no later posture may fall below."""
-    return min(keep_out.clearance(start.positions).distance, 0.0) - POSITION_TOLERANCE_M
-
-
 def _postures(
     solve: Solve, shape: Shape, begin: Floats, ends: Iterable[Floats], keep_out: KeepOut
-) -> Iterator[tuple[int, float, Shape, Clearance]]:
+) -> Iterator[tuple[int, float, Shape, Clearance | None]]:
     """
-    Yield postures along straight legs: leg, fraction of it, shape and clearance.
+    Yield postures along straight legs: leg, fraction of it, shape, and the region it enters.
 
-    No point moves by more than half of the clearance between two of them, as far as the shortest
-    step allows it, so that none cuts a corner of a region.
+    A region is entered where the arm is deeper in it than at the beginning. No point moves by
+    more than half of the clearance between two postures, as far as the shortest step allows it, so
+    that none cuts a corner of a region.
     """
+    allowed = min(keep_out.clearance(shape.positions).distance, 0.0) - POSITION_TOLERANCE_M
     for leg, end in enumerate(ends):
         fraction, step = 0.0, STEP_MAX
         while fraction < 1.0:
@@ -543,7 +533,7 @@ def _postures(
             new = solve(shape, begin + fraction * (end - begin))
             moved = float(np.linalg.norm(new.positions - shape.positions, axis=1).max())
             clearance = keep_out.clearance(new.positions)
-            yield leg, fraction, new, clearance
+            yield leg, fraction, new, clearance if clearance.distance < allowed else None
             factor = 0.5 * clearance.distance / max(moved, 1e-9)
             step, shape = min(max(step * factor, 0.1 * STEP_MAX), 2.0 * step), new
         begin = end

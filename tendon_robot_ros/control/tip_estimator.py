@@ -11,21 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING
+from functools import cached_property, partial
 
 import numpy as np
 
 from ..common.arrays import Floats
 from ..common.estimation import kalman_update
 from ..model.derivatives import tip_slopes
+from ..model.model import Model
 from ..model.program import RANGE_TOLERANCE, STEP_DAMPING, STEP_GAIN, STEP_MAX, bounded_step
+from ..model.shape import Reach, Shape
 from ..robot.estimates import TRACKER_NOISE_M
-
-if TYPE_CHECKING:
-    from ..model.model import Model
-    from ..model.shape import Reach, Shape
-    from ..robot.keep_out import KeepOut
+from ..robot.keep_out import KeepOut
 
 # [1] readings over which noise is averaged, of load cells and trackers: so that it is known to
 # 10 %; the mean offset is over twice as many
@@ -367,17 +364,12 @@ class NullSpaceMotion:
         slopes = tip.slopes_at(goal_shape) + estimate.slopes
         remaining = self.signs * np.maximum(self.signs * (self.tensions - goal) / width, 0.0)
         wish = remaining * min(1.0, STEP_MAX / max(float(np.abs(remaining).max()), 1e-12))
-
-        def step(tip_motion: Floats, preferred: Floats) -> Floats:
-            return bounded_step(
-                slopes, tip_motion, goal, tip.limits, preferred=preferred, signs=self.signs
-            )
-
-        free = (step(np.zeros(3), wish) - goal) / width
+        step = partial(bounded_step, slopes, tensions=goal, limits=tip.limits, signs=self.signs)
+        free = (step(target=np.zeros(3), preferred=wish) - goal) / width
         size = max(float(np.abs(free).max()), 1e-12)
         if size < RANGE_TOLERANCE and distance < 2.0 * estimate.rest:
             return self, goal  # at the end; else noise would raise tensions without limit
         drift = DRIFT * length
         speed = drift / max(estimate.slope_sd(free / size), drift / SPEED_MAX)
         miss = STEP_GAIN * (self.place - goal_shape.tip_position - estimate.bias_at(goal))
-        return self, step(miss, free * min(1.0, speed * passed / size))
+        return self, step(target=miss, preferred=free * min(1.0, speed * passed / size))

@@ -13,15 +13,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..common.arrays import Floats, interpolated
-from ..common.errors import TendonRobotError
 from ..common.local_stop import SILENCE_S
 from ..model.program import RANGE_TOLERANCE, bounded_least_squares
 from ..robot.estimates import MODEL_ERROR_MAX, TRACKER_NOISE_M
+from .solver import Failure, GiveUp
 from .state import ControllerState, TipCorrection, TrackedTip, is_near
 from .tip_estimator import (
     HOLD_GAIN,
@@ -31,9 +30,6 @@ from .tip_estimator import (
     TipEstimate,
     TipStep,
 )
-
-if TYPE_CHECKING:
-    from .solver import GiveUp
 
 # [s] without a measurement; longer than three frames at 30 Hz, else one lost frame would stop the
 # loop
@@ -179,9 +175,8 @@ class TipLoop(TipCorrection):
 
     abandoned: str = ''  # reason for the present target
     progress: TipProgress = field(default_factory=TipProgress)
-    _history: deque[tuple[float, Floats, Floats]] = field(  # [s], acting tensions, model's tip
-        default_factory=deque
-    )
+    # [s], (m,) [N] acting tensions, (3,) [m] model's tip
+    _history: deque[tuple[float, Floats, Floats]] = field(default_factory=deque)
     _compared: Floats | None = None  # (3,) [m] model's tip of the last comparison
     _jumped: float = -np.inf  # [s]
     _error: Floats = field(default_factory=lambda: np.full(3, np.nan))  # [m]
@@ -262,7 +257,8 @@ class TipLoop(TipCorrection):
         if target is None or target.position is None or core.solution is None:
             return 'no target'
         self._error = target.position - tip.position
-        if core.command is None or not core.follows(tip.time):
+        stopped = core.latch or core.driver.stopped
+        if core.command is None or stopped or not core.fresh(tip.time):
             return 'stopped'
         if target is not self._target:
             self._target, self._near, self.abandoned = target, core.time, ''
@@ -324,7 +320,7 @@ class TipLoop(TipCorrection):
             )
             return new, next_goal, shape.tip_position, tip, moved, remainder
 
-        def done(result: Compared | None, error: TendonRobotError | None) -> None:
+        def done(result: Compared | None, error: Failure) -> None:
             if result is None or core.model is not model or core.target is None:
                 return
             self.estimate, next_goal, tip, self._compared, moved, remainder = result
