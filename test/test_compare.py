@@ -12,7 +12,7 @@ from tendon_robot_ros.common.errors import InputError, NoEquilibriumError, Tendo
 from tendon_robot_ros.comparison.compare import bending_axes, cell_rotations, compare
 from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.report.comparison import worst
+from tendon_robot_ros.report.comparison import where_worst
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Damage
 from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
@@ -26,7 +26,7 @@ QUIET = SimulatedNoise(0.0, 0.0, 0.0)
 
 def twin(robot):
     """Return a plant that is its owner's model to the last digit."""
-    return Plant(robot, Model(robot), 1, Damage.none(robot, 0))
+    return Plant(robot, Model(robot), 1, Damage(robot, 0))
 
 
 def perfect(robot, postures=6, seed=0, **options):
@@ -202,7 +202,7 @@ def test_an_error_that_begins_at_the_first_marker_is_told_at_both_ends(hinges):
     found = compare(hinges)
     object.__setattr__(found, 'grows_from', lambda model: 0)
     first, last = 1e3 * found.best.per_marker_rms[[0, -1]]
-    said = worst(found, found.best)
+    said = where_worst(found)
     assert said.endswith(f'first marker is off by {first:.3f} mm rms, the last by {last:.2f} mm.')
 
 

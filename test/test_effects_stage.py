@@ -84,7 +84,7 @@ def test_finer_cells_have_the_parameters_that_the_effect_asks_for():
         'nonlinear_stiffness': {'cubic': 2.0},
     }
     n = owner.cells
-    none = Damage.none(owner, 0)
+    none = Damage(owner, 0)
     real = real_robot(owner, effects, catalogue, 3, none, True, Built.exact(owner))
     assert real.cells == 3 * n
     assert real.effects['softening']['loss'] == pytest.approx(0.9)

@@ -71,7 +71,7 @@ def test_a_plant_has_it_in_its_finer_cells(catalogue):
     n = owner.cells
     hidden = {**owner.effects, **LOSS}
     assert parts_per_cell(owner, hidden, catalogue, 3) == 3
-    none = Damage.none(owner, 0)
+    none = Damage(owner, 0)
     real = real_robot(owner, hidden, catalogue, 3, none, True, Built.exact(owner))
     assert real.cells == 3 * n and real.effects[NAME] == LOSS[NAME]
     assert NAME in plant_catalogue(catalogue)

@@ -103,16 +103,11 @@ def interval(value: Estimate) -> str:
 
 
 def where_worst(comparison: Comparison) -> str:
-    """Describe where the best model has its largest error, and its name if there are several."""
-    best = comparison.best
-    of = '' if len(comparison.models) == 1 else f' of {best.name}'
-    return f'worst{of}: {worst(comparison, best)}'
-
-
-def worst(comparison: Comparison, model: ModelErrors) -> str:
-    """Describe where a model has its largest error, and where the error exceeds the noise."""
+    """Describe where the best model has its largest error, and where it exceeds the noise."""
+    model = comparison.best
+    of = '' if len(comparison.models) == 1 else f' of {model.name}'
     p = comparison.worst_posture(model)
-    text = f'{posture_name(comparison, p)}, rms {mm(model.per_posture_rms[p])}'
+    text = f'worst{of}: {posture_name(comparison, p)}, rms {mm(model.per_posture_rms[p])}'
     marker = comparison.grows_from(model)
     if marker is None:
         return f'{text}.'
@@ -340,23 +335,14 @@ class Push:
         across = np.cross(along, [-np.sin(azimuth), np.cos(azimuth), 0.0])
         across /= max(float(np.linalg.norm(across)), 1e-9)
         end = self.at + ARROW_FRACTION * length * self.force
-        barbs = [
-            end + 0.1 * ARROW_FRACTION * length * (side - 2.0 * along)
-            for side in (across, -across)
-        ]
-        arrow = np.array([self.at, end, barbs[0], end, barbs[1]])
+        tip = ARROW_FRACTION * length
+        left, right = (end + 0.1 * tip * (side - 2.0 * along) for side in (across, -across))
+        arrow = np.array([self.at, end, left, end, right])
         drawn = [placed(arrow, 'lines', 'force', line={'color': BAD, 'width': 3, 'dash': 'solid'})]
-        ends = None
-        if self.to is not None:
-            ends = [self.at, self.to]
-        elif self.is_wall:
-            ends = [self.at + side * length * ARROW_FRACTION * across for side in (-1.0, 1.0)]
-        if ends is not None:
-            line = {
-                'color': BAD,
-                'width': 1.5,
-                'dash': 'dot' if self.is_wall is False else 'solid',
-            }
+        if self.to is not None or self.is_wall:
+            wall = self.at - tip * across, self.at + tip * across
+            ends = wall if self.to is None else (self.at, self.to)
+            line = {'color': BAD, 'width': 1.5, 'dash': 'solid' if self.is_wall else 'dot'}
             drawn.append(placed(np.array(ends), 'lines', 'what pushes', line=line))
         return drawn
 

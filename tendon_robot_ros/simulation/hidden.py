@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
+from inspect import signature
 
 import numpy as np
 
@@ -19,28 +20,21 @@ from ..effects import Catalogue, Effect, Parameter
 from ..robot import Robot
 from ..robot.description import EffectValues
 
-CauseValues = dict[str, float]
 # [1] 1 sd of the stiffness from cell to cell of a plant; its owner would know so much of it
 STIFFNESS_SCATTER = 0.02
 SCATTER_MAX = 0.2  # [1] 1 sd of any imperfection, else cells softer by five of them had none left
 
 
-@dataclass
 class Damage:
-    """Hidden damage of a robot of n cells; cells count from 1 at the base."""
+    """Hidden damage of a robot of n cells, at first none; cells count from 1 at the base."""
 
-    robot: Robot
-    stiffness: Floats  # (n,) [1] factor on the bending stiffness
-    gain: float = 0.0  # [1] largest deviation of the tensions' gain
-    rotation: float = 0.0  # [rad] largest rotation of the tracker
-    waves: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-
-    @classmethod
-    def none(cls, robot: Robot, seed: int) -> Damage:
-        """Return no damage; the seed draws how gain and rotation vary from posture to posture."""
-        n, m = robot.cells, len(robot.inputs)
-        waves = np.random.default_rng([seed, 77]).normal(size=(4, m + 1))
-        return cls(robot, np.ones(n), waves=waves)
+    def __init__(self, robot: Robot, seed: int) -> None:
+        """Draw from the seed how gain and rotation vary from posture to posture."""
+        size = 4, len(robot.inputs) + 1
+        self.robot, self.waves = robot, np.random.default_rng([seed, 77]).normal(size=size)
+        self.stiffness = np.ones(robot.cells)  # [1] factor on the bending stiffness
+        self.gain = 0.0  # [1] largest deviation of the tensions' gain
+        self.rotation = 0.0  # [rad] largest rotation of the tracker
 
     def deviations(self, inputs: Floats) -> Floats:
         """
@@ -51,44 +45,39 @@ class Damage:
         phase = np.nan_to_num(inputs) @ self.waves[:, 1:].T + 7.0 * self.waves[:, 0]
         return np.sin(phase)
 
-    def cell(self, values: CauseValues, fallback: int) -> int:
-        """Return the index of the cell that the values name."""
+    def cell(self, number: float) -> int:
+        """Return the index of a cell by its number."""
         n = self.robot.cells
-        number = values.get('cell', fallback)
         if number != int(number) or not 1 <= number <= n:
             raise EffectError(f'cell: expected a whole number from 1 (base) to {n}, got {number}')
         return int(number) - 1
 
 
-def soft_cell(damage: Damage, values: CauseValues) -> None:
+def soft_cell(damage: Damage, cell: float | None = None, factor: float = 0.6) -> None:
     """One cell is softer: its stiffness times `factor`."""
-    cell = damage.cell(values, (2 * damage.robot.cells + 2) // 3)
-    damage.stiffness[cell] *= values.get('factor', 0.6)
+    number = (2 * damage.robot.cells + 2) // 3 if cell is None else cell
+    damage.stiffness[damage.cell(number)] *= factor
 
 
-def stiffness_gradient(damage: Damage, values: CauseValues) -> None:
+def stiffness_gradient(damage: Damage, relative_change: float = 0.4) -> None:
     """Change the stiffness linearly from the base to `relative_change` more at the tip."""
     along = np.linspace(-0.5, 0.5, damage.robot.cells)
-    damage.stiffness *= 1.0 + values.get('relative_change', 0.4) * along
+    damage.stiffness *= 1.0 + relative_change * along
 
 
-def posture_gain(damage: Damage, values: CauseValues) -> None:
+def posture_gain(damage: Damage, size: float = 0.1) -> None:
     """Let every posture have its own gain of the tensions, at most `size` off."""
-    damage.gain = values.get('size', 0.1)
+    damage.gain = size
 
 
-def posture_rotation(damage: Damage, values: CauseValues) -> None:
+def posture_rotation(damage: Damage, size: float = 0.03) -> None:
     """Let the tracker's frame turn from posture to posture, at most `size` [rad] about an axis."""
-    damage.rotation = values.get('size', 0.03)
+    damage.rotation = size
 
 
-# causes outside the catalogue: the names of their parameters, and the damage that they do
-CAUSES: dict[str, tuple[tuple[str, ...], Callable[[Damage, CauseValues], None]]] = {
-    'soft_cell': (('cell', 'factor'), soft_cell),
-    'stiffness_gradient': (('relative_change',), stiffness_gradient),
-    'posture_gain': (('size',), posture_gain),
-    'posture_rotation': (('size',), posture_rotation),
-}
+# causes outside the catalogue, by name; their parameters follow the damage that they do
+_DAMAGING = (soft_cell, stiffness_gradient, posture_gain, posture_rotation)
+CAUSES: dict[str, Callable[..., None]] = {cause.__name__: cause for cause in _DAMAGING}
 
 
 HiddenValues = Mapping[str, float | Sequence[float]]
@@ -115,9 +104,9 @@ def hide(
         if not isinstance(values, Mapping):
             raise refusal(f'hidden: {name}', 'its parameters as a dict', values)
         if name in CAUSES:
-            known, act = CAUSES[name]
+            _, *known = signature(CAUSES[name]).parameters
             _refuse_unknown(name, values, known)
-            act(damage, {key: _one(name, key, v) for key, v in values.items()})
+            CAUSES[name](damage, **{key: _one(name, key, v) for key, v in values.items()})
         elif name in catalogue:
             effects[name] = chosen(catalogue[name], values, robot)
         else:

@@ -194,9 +194,8 @@ class Plant:
         InputError, NoEquilibriumError
 
         """
-        requested, last = self.model.tensions(np.asarray(tensions, dtype=float)), self._state
-        applied = requested * self._gain(requested[None])[0]
-        shape = self.model.follow(last, applied)
+        requested = self.model.tensions(np.asarray(tensions, dtype=float))
+        shape = self.model.follow(self._state, requested * self._gain(requested[None])[0])
         self._state = PlantShape(shape, self, requested)
         return self._state
 
@@ -206,9 +205,8 @@ class Plant:
 
     def respond_to_pulls(self, pulls: npt.ArrayLike) -> PlantShape:
         """Return the arm under wire pulls (m,) [m], nan = slack, that follow the last call's."""
-        target, last = np.asarray(pulls, dtype=float), self._state
-        applied = target * self._gain(target[None], True)[0]
-        shape = self.model.follow_pulls(last, applied)
+        target = np.asarray(pulls, dtype=float)
+        shape = self.model.follow_pulls(self._state, target * self._gain(target[None], True)[0])
         self._state = PlantShape(shape, self)
         return self._state
 
@@ -336,7 +334,7 @@ def make_plant(
     robot, refine, seed = load_robot(robot), whole('refine', refine, 1), whole('seed', seed)
     scatter = number('scatter', scatter, 0.0, SCATTER_MAX)
     catalogue = load_catalogue(catalogue).sized(natural_sizes(robot))
-    damage = Damage.none(robot, seed)
+    damage = Damage(robot, seed)
     effects = hide(robot, {} if hidden is None else hidden, catalogue, damage)
     if work is not None:
         built = Built.draw(robot, work, seed)

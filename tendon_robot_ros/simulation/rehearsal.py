@@ -116,10 +116,10 @@ def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
     known, random = choices(robot, catalogue), np.random.default_rng(seed)
     if name and name not in known:
         raise InputError(f'hidden: expected one of {", ".join(known)}, got {name!r}')
-    if name in (NOTHING_HIDDEN, *CAUSES) or (name and catalogue[name].placed):
+    unsized = (NOTHING_HIDDEN, *CAUSES, *(e.name for e in catalogue if e.placed))
+    if name in unsized:
         return Hidden(name, {})
-    others = (NOTHING_HIDDEN, *CAUSES, *(e.name for e in catalogue if e.placed))
-    remaining = [n for n in known if n not in others]
+    remaining = [n for n in known if n not in unsized]
     sized = catalogue.sized(natural_sizes(robot))
     while True:
         effect = name or str(random.choice(remaining))

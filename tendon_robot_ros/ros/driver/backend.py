@@ -138,7 +138,7 @@ def _plant(robot: Robot, mode: str, config: dict[str, Any], source: str) -> Any:
     from ...simulation.plant import Plant, make_plant
 
     if twin:  # an arm that equals the model, with its memory (`make demo`)
-        return Plant(robot, Model(robot), 1, Damage.none(robot, 0))
+        return Plant(robot, Model(robot), 1, Damage(robot, 0))
     try:
         return make_plant(robot, **config)
     except TypeError as error:
