@@ -82,13 +82,21 @@ class Reached:
     @property
     def edge_tensions(self) -> Floats:
         """Tensions (e, m) [N] of the half of the cubes with the fewest neighbours."""
-        around = neighbours(self.cells, self.is_flat)
-        return np.asarray(self.tensions[around <= np.median(around)])
+        return np.asarray(self.tensions[self.neighbours <= np.median(self.neighbours)])
 
     @cached_property
     def outside(self) -> Bools:
         """Which cubes (c,) have a free neighbour, (c,)."""
-        return np.asarray(neighbours(self.cells, self.is_flat) < (8 if self.is_flat else 26))
+        return np.asarray(self.neighbours < (8 if self.is_flat else 26))
+
+    @cached_property
+    def neighbours(self) -> Ints:
+        """How many cubes (c,) lie around each, up to 26, or 8 in the x-z plane."""
+        full, shifted = _grid(self.cells)
+        count = np.full(len(self), -1)  # it is none of its own
+        for step in np.ndindex(3, 1 if self.is_flat else 3, 3):
+            count += full[tuple((shifted + step - (1, 0 if self.is_flat else 1, 1)).T)]
+        return count
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data, in m, m² or m³."""
@@ -129,13 +137,15 @@ class Cubes:
         content = np.concatenate([tensions, tips, directions], axis=1)[inside]
         where = np.ravel_multi_index(tuple(cells[inside].T), (self.side,) * 3)
         bits = np.int64(1) << sphere_part(directions[inside], 1)
-        self.postures += len(where)
-        self.lows = np.minimum(self.lows, tips[inside].min(axis=0, initial=np.inf))
-        self.highs = np.maximum(self.highs, tips[inside].max(axis=0, initial=-np.inf))
-        self._put(Rows(where, bits, content))
+        at = tips[inside]
+        span = at.min(axis=0, initial=np.inf), at.max(axis=0, initial=-np.inf)
+        self._put(Rows(where, bits, content), span, len(where))
 
-    def _put(self, rows: Rows) -> None:
+    def _put(self, rows: Rows, span: npt.ArrayLike, postures: int) -> None:
         """Keep rows; sort them in when they are as many as what is known."""
+        low, high = np.asarray(span)
+        self.lows, self.highs = np.minimum(self.lows, low), np.maximum(self.highs, high)
+        self.postures += postures
         self._coming.append(rows)
         if sum(len(one.where) for one in self._coming) > len(self._known.where):
             self.sorted()
@@ -155,10 +165,8 @@ class Cubes:
 
     def merge(self, other: Mapping[str, npt.NDArray[Any]]) -> None:
         """Add what other cubes have packed; the order of several does not matter."""
-        self._put(Rows(other['where'], other['seen'], other['best']))
-        self.lows = np.minimum(self.lows, other['span'][0])
-        self.highs = np.maximum(self.highs, other['span'][1])
-        self.postures += int(other['postures'])
+        rows = Rows(other['where'], other['seen'], other['best'])
+        self._put(rows, other['span'], int(other['postures']))
 
     def __len__(self) -> int:
         """Count the cubes that hold a tip."""
@@ -211,15 +219,6 @@ def beyond(cells: Ints, known: Ints) -> Bools:
         near[tuple((known - low + step - 1).T)] = True
     known_or_beside: Bools = near[tuple((cells - low).T)]
     return ~known_or_beside
-
-
-def neighbours(cells: Ints, is_flat: bool) -> Ints:
-    """Count the neighbours (c,) of every cube, up to 26, or 8 in the x-z plane."""
-    full, shifted = _grid(cells)
-    count = np.full(len(cells), -1)  # it is none of its own
-    for step in np.ndindex(3, 1 if is_flat else 3, 3):
-        count += full[tuple((shifted + step - (1, 0 if is_flat else 1, 1)).T)]
-    return count
 
 
 def _grid(cells: Ints) -> tuple[Bools, Ints]:

@@ -149,18 +149,14 @@ class SortedTips:
 
     def __init__(self, sampling: Sampling) -> None:
         self.sampling = sampling
-        self.all = Cubes(sampling.robot, sampling.edge)
-        self.views = [Cubes(sampling.robot, sampling.edge) for _ in sampling.views]
+        # of all tips, and of those at each view
+        self.cubes = [Cubes(sampling.robot, sampling.edge) for _ in (None, *sampling.views)]
+        self.all, *self.views = self.cubes
         self.sphere = np.zeros(FINER**2 * SPHERE_PART_COUNT, dtype=bool)  # visited
         self.counts = np.zeros(3, dtype=np.int64)  # postures, without equilibrium, folded
         self.largest = np.zeros(1)  # [rad]
         # (n,) [m], the farthest tendon
         self.thickness = np.linalg.norm(tendon_offsets(sampling.robot), axis=2).max(axis=1)
-
-    @property
-    def cubes(self) -> list[Cubes]:
-        """All cubes: of all tips, and of those at each view."""
-        return [self.all, *self.views]
 
     def packed(self) -> Packed:
         """Return everything as arrays."""
@@ -340,6 +336,9 @@ class Volume:
     reached : Reached
     frictionless : Reached or None
         The same without friction; None where the model has none.
+    taken, given : float or None [1]
+        Fraction of the places without friction that are not near one with it, and of the places
+        with friction that are not near one without it.
     late : float [1]
         Fraction of the cubes that only the last tenth of the postures found.
     largest : float [rad]
@@ -391,19 +390,11 @@ class Volume:
         self.largest = float(tally.largest[0])
         self.sphere = float(tally.sphere.mean())
         self.views = dict(zip(sampling.views, map(Reached, tally.views), strict=True))
-        self.frictionless = Reached(streams[1].tally.all) if len(streams) > 1 else None
-
-    @property
-    def taken(self) -> float | None:
-        """Fraction of the places without friction that are not near one with it."""
-        other = self.frictionless
-        return None if other is None else float(beyond(other.cells, self.reached.cells).mean())
-
-    @property
-    def given(self) -> float | None:
-        """Fraction of the places with friction that are not near one without it."""
-        other = self.frictionless
-        return None if other is None else float(beyond(self.reached.cells, other.cells).mean())
+        self.frictionless = self.taken = self.given = None
+        if len(streams) > 1:
+            other = self.frictionless = Reached(streams[1].tally.all)
+            self.taken = float(beyond(other.cells, self.reached.cells).mean())
+            self.given = float(beyond(self.reached.cells, other.cells).mean())
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data, in m, N and rad."""
