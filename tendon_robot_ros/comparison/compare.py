@@ -35,18 +35,14 @@ def equilibria(predictor: Predictor) -> ShapeBatch:
         With the posture and what acts in it.
 
     """
-    parts, postures = [], []
+    model, dataset, parts, postures = predictor.model, predictor.dataset, [], []
     for part, shapes in predictor.settle({}, predictor.inputs):
         if shapes is None:
-            model, dataset, inputs = (
-                predictor.model,
-                predictor.dataset,
-                predictor.inputs[part.rows],
-            )
-            carry = predictor.carries
+            inputs = predictor.inputs[part.rows]
             if dataset.input == 'displacement':  # the error names the posture
-                pull_shapes(model, inputs, memory=model.arrays.fresh_memory() if carry else None)
-            elif carry:
+                memory = model.arrays.fresh_memory() if predictor.carries else None
+                pull_shapes(model, inputs, memory=memory)
+            elif predictor.carries:
                 model.sequence(inputs)
             else:
                 model.shapes(inputs)

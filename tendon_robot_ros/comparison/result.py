@@ -274,11 +274,10 @@ class Comparison(TextResult):
         later = known[known > (low[-1] if len(low) else -1)]
         return int(later[0]) if len(later) else None
 
-    def angle_bands(self) -> tuple[Floats, Floats] | None:
+    def angle_bands(self) -> tuple[Floats, Floats]:
         """Measured angular displacement (P, J) [rad]: mean, and half the width of its interval."""
-        if self.measured.angles is None:
-            return None
         angles = self.measured.angles
+        assert angles is not None  # the markers lie on the centreline
         return mean_over(angles, 0), half_width(angles, self.error)
 
 

@@ -114,14 +114,11 @@ def pool(
 
     """
     count = POOL_POSTURES // 3 if input == 'displacement' else POOL_POSTURES
-    singles = default_postures(robot, max(count // 5, 3), 0, input)
-    rows = np.vstack(
-        [singles, default_postures(robot, count - len(singles), 1 + goal.seed, input)]
-    )
+    rows = [default_postures(robot, max(count // 5, 3), 0, input)]
+    rows.append(default_postures(robot, count - len(rows[0]), 1 + goal.seed, input))
     if path == 'sequence':  # letting go is what shows a memory
-        loops = default_postures(robot, count // 2, 2 + goal.seed, input, 'sequence')
-        rows = np.vstack([rows, loops])
-    return allowed(np.unique(rows, axis=0), goal, input, model, room, start)
+        rows.append(default_postures(robot, count // 2, 2 + goal.seed, input, 'sequence'))
+    return allowed(np.unique(np.vstack(rows), axis=0), goal, input, model, room, start)
 
 
 def fresh(robot: Robot, goal: Goal, input: str, model: Model, room: Room) -> Floats:
@@ -155,11 +152,10 @@ def _tension_of(model: Model, pulls: Floats) -> float:
 
 def _keeps_out(model: Model, row: Floats, input: str, room: Room, start: Floats | None) -> bool:
     """Return whether the arm keeps out of the regions on its straight path to a posture."""
-    begin = model.limits[:, 0] if input == 'tension' else np.where(np.isnan(row), np.nan, 0.0)
-    if start is not None:
-        begin = start
+    if start is None:
+        start = model.limits[:, 0] if input == 'tension' else np.zeros_like(row)
     fractions = np.linspace(0.0, 1.0, PATH_POINTS)[:, None]
-    path = np.where(np.isnan(row), np.nan, begin + fractions * (row - begin))
+    path = np.where(np.isnan(row), np.nan, start + fractions * (row - start))
     try:
         shapes = model.shapes(path) if input == 'tension' else pull_shapes(model, path)
     except (NoEquilibriumError, InputError):

@@ -84,15 +84,6 @@ class Findings:
             'added': None if self.addition is None else self.addition.to_json(),
         }
 
-    @property
-    def may_add(self) -> bool:
-        """Whether the new description may be written without --add."""
-        return (
-            self.outcome is InvestigationEnd.NAMED
-            and self.addition is not None
-            and self.addition.helps
-        )
-
 
 class Investigation:
     """One investigation of an arm."""
@@ -134,9 +125,7 @@ class Investigation:
             natural_sizes(arm.robot)
         )
         trials = goal.trials if arm.path == 'from_straight' else 1
-        begin = (
-            measuring.Record.resume if resume and folder is not None else measuring.Record.begin
-        )
+        begin = measuring.Record.resume if resume else measuring.Record.begin
         self.record = begin(arm, folder, trials)  # type: ignore[arg-type]
         self.diagnosis: Diagnosis | None = None
         self._suspected: list[str] = []  # effects that have appeared since an alarm
@@ -228,15 +217,15 @@ class Investigation:
     @property
     def sought(self) -> list[str]:
         """Names of the effects on which the next posture is to give information."""
-        if self.diagnosis is not None and self._only_wide:
-            return [effect.name for effect in self.diagnosis.effects]
-        if self.diagnosis is None and self._suspected:
+        known, rounds = self.diagnosis, self.record.rounds
+        if known is not None and self._only_wide:
+            return [effect.name for effect in known.effects]
+        if known is None and self._suspected:
             return self._suspected[:IN_QUESTION_MAX]
-        names = [] if self.diagnosis is None else in_question(self.diagnosis)
-        unexcluded = self.record.rounds[-1].possible if self.record.rounds else {}
-        if unexcluded:
-            return list(unexcluded)[:IN_QUESTION_MAX]
-        if not names or (self.diagnosis is not None and not self.diagnosis.effects):
+        if rounds and rounds[-1].possible:
+            return list(rounds[-1].possible)[:IN_QUESTION_MAX]
+        names = [] if known is None else in_question(known)
+        if not names or (known is not None and not known.effects):
             names += [e.name for e in self.catalogue if e.name not in names and self.shows(e)]
         return names
 
@@ -387,7 +376,7 @@ def write_results(findings: Findings, folder: Path, catalogue: Catalogue, add: b
             written.append(REPORT)
     if added is not None:
         text += [never_used(added), *addition_warnings(added)]
-        if added.helps and (findings.may_add or add):
+        if added.helps and (add or findings.outcome is InvestigationEnd.NAMED):
             write_text(folder / measuring.BETTER, dump_robot(added.robot))
             written.append(measuring.BETTER)
             text.append(f'controller parameter model := {folder / measuring.BETTER}')

@@ -201,9 +201,8 @@ def with_posture(
     trials = old.positions.shape[1]
     trial_inputs: Floats | None = None
     if old.trial_inputs is not None or measured.inputs is not None:
-        now = measured.inputs
-        if now is None:
-            now = np.tile(inputs, (len(measured.positions), 1))
+        as_commanded = np.tile(inputs, (len(measured.positions), 1))
+        now = as_commanded if measured.inputs is None else measured.inputs
         trial_inputs = np.concatenate([old.inputs_by_trial, _padded(now, trials)])
     return replace(
         old,

@@ -93,9 +93,7 @@ def per_posture(comparison: Comparison) -> Figure:
 
 def angles(comparison: Comparison, p: int) -> Figure:
     """Angular displacement per cell of a posture, as figures 12 to 14 of Kato et al. 2015."""
-    bands = comparison.angle_bands()
-    assert bands is not None
-    mean, half = bands
+    mean, half = comparison.angle_bands()
     along = places(comparison)
     data: list[Trace] = []
     for i, model in enumerate(comparison.models):
