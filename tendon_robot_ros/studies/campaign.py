@@ -224,9 +224,7 @@ def campaign_page(
 
     page.heading('Which size of an effect is seen')
     page.text(NAMED)
-    curves: dict[str, list[Power]] = {}
-    for power in powers(rows):
-        curves.setdefault(power.hidden, []).append(power)
+    curves = grouped(powers(rows), lambda power: power.hidden)
     page.figures([power_figure(name, members) for name, members in curves.items()], 'many')
     header: Sequence[str] = ('robot', 'effect', 'measured so', 'named in four of five cases')
     members = chain.from_iterable(curves.values())

@@ -297,7 +297,7 @@ def is_visible(case: Case, sim: Simulated) -> bool:
     return float(unexplained @ unexplained) > VISIBLE_FROM_CHI2
 
 
-def truth_of(case: Case, sim: Simulated, keys: Mapping[str, object]) -> dict[str, float]:
+def truth_of(sim: Simulated, keys: Mapping[str, object]) -> dict[str, float]:
     """Return the true value of every fitted parameter, by its key: `name` or `name[section]`."""
     truth = {}
     for key in keys:

@@ -40,7 +40,7 @@ from ..inference.intervals import Value
 from ..model.versions import Preparation, UserEffect, catalogue_of
 from ..report.page import Figure, Page, axes, error_bars, mm_list, titled, trace
 from ..robot import dump_robot
-from .judge import diagnosis_fields, fitted_values
+from .judge import diagnosis_fields, fitted_values, grouped
 from .running import ERROR, TABLE, GrowingTable, Row, Study, judge_all
 
 HELP = 'diagnose all recordings of many robots, and say what changed when'
@@ -224,11 +224,8 @@ class Change:
 
 def histories(rows: Iterable[FleetRow]) -> dict[str, list[FleetRow]]:
     """Collect what could be read by robot, in the order of time."""
-    by_robot: dict[str, list[FleetRow]] = {}
-    for row in sorted(rows, key=lambda row: (row.when, row.place)):
-        if row.verdict != ERROR:
-            by_robot.setdefault(row.robot, []).append(row)
-    return by_robot
+    read = (row for row in rows if row.verdict != ERROR)
+    return grouped(sorted(read, key=lambda row: (row.when, row.place)), lambda row: row.robot)
 
 
 def tracked(rows: Sequence[FleetRow]) -> list[str]:

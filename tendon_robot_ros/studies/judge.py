@@ -177,7 +177,7 @@ def diagnosed(case: Case, sim: Simulated) -> dict[str, Any]:
         row['scatter_told'] = len(held)
     own = next((effect for effect in diagnosis.effects if effect.name == case.hidden), None)
     if named and own is not None:
-        row |= _beside_truth(case, sim, own.parameters)
+        row |= _beside_truth(sim, own.parameters)
     return row
 
 
@@ -193,12 +193,12 @@ def fitted(case: Case, sim: Simulated) -> dict[str, Any]:
         'before': errors.before,
         'after': errors.after,
         'floor': errors.floor,
-        **_beside_truth(case, sim, added.values[case.hidden]),
+        **_beside_truth(sim, added.values[case.hidden]),
     }
 
 
-def _beside_truth(case: Case, sim: Simulated, values: Mapping[str, Value]) -> dict[str, Any]:
-    truth = tuple(truth_of(case, sim, values).values())
+def _beside_truth(sim: Simulated, values: Mapping[str, Value]) -> dict[str, Any]:
+    truth = tuple(truth_of(sim, values).values())
     return {**fitted_values(values), 'truth': truth}
 
 
@@ -402,11 +402,11 @@ def rates_by_hidden(rows: Sequence[CaseRow]) -> list[dict[str, Any]]:
     ]
 
 
-def grouped[K](rows: Iterable[CaseRow], by: Callable[[CaseRow], K]) -> dict[K, list[CaseRow]]:
-    """Group rows by a key."""
-    groups: dict[K, list[CaseRow]] = {}
-    for row in rows:
-        groups.setdefault(by(row), []).append(row)
+def grouped[T, K](items: Iterable[T], by: Callable[[T], K]) -> dict[K, list[T]]:
+    """Group items, such as rows, by a key."""
+    groups: dict[K, list[T]] = {}
+    for item in items:
+        groups.setdefault(by(item), []).append(item)
     return groups
 
 

@@ -226,14 +226,11 @@ class Stiffening:
             return float(np.linalg.norm(tips - others, axis=1).mean())
 
         # [1] change of the bends of every section, rms over rms
-        self.bending = [
-            float(np.linalg.norm(change) / np.linalg.norm(bend))
-            for change, bend in zip(
-                np.split(with_them.bend - limp.bend, cells[:-1], axis=1),
-                np.split(limp.bend, cells[:-1], axis=1),
-                strict=True,
-            )
-        ]
+        change, own = (
+            [np.linalg.norm(part) for part in np.split(bend, cells[:-1], axis=1)]
+            for bend in (with_them.bend - limp.bend, limp.bend)
+        )
+        self.bending = [float(new / old) for new, old in zip(change, own, strict=True)]
         straight = np.array([0.0, 0.0, bare.length])
         self.shift = mean_distance(with_them.tip_position, limp.tip_position)  # [m] of the tip
         self.relative = self.shift / mean_distance(limp.tip_position, straight)  # [1]

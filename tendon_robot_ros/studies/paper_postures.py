@@ -84,10 +84,10 @@ class DisplacementExperiment:
         self.comparison = compare(self.data, models, leave_out=False)  # as published
         # by height and model, over many prototypes
         self.errors = many_prototypes(plant, heights, self.comparison)
-        bands, fkm = self.comparison.angle_bands(), self.comparison.models[0].angles
-        assert bands is not None and fkm is not None
+        (mean, _), fkm = self.comparison.angle_bands(), self.comparison.models[0].angles
+        assert fkm is not None
         # [rad] of the mean angles of the cells about the FKM
-        self.scatter = float(np.sqrt(np.mean((bands[0] - fkm) ** 2)))
+        self.scatter = float(np.sqrt(np.mean((mean - fkm) ** 2)))
 
 
 def find_heights(robot: Robot, pair: Pair) -> Heights | None:

@@ -83,7 +83,6 @@ class PlanReader(Reader):
 class CampaignPlan:
     """What to simulate and diagnose."""
 
-    source: str
     setup: Setup
     cases: tuple[Case, ...]
 
@@ -147,7 +146,7 @@ def plan_of(
     cases = tuple(cases_of(top, setup, catalogue, skipped))
     if not cases:
         raise top.error('seeds', 'at least one case: seeds of effects, or clean sets', 0)
-    return CampaignPlan(source, setup, cases)
+    return CampaignPlan(setup, cases)
 
 
 def arms_of(

@@ -114,14 +114,15 @@ class SimulatedArm:
         self.markers: Sequence[Marker] = default_markers(plant.robot)
         self.input_noise = self.noise.setting, self.noise.trial
         self.visited: list[Floats] = []  # inputs (m,) of all measurements, broken ones included
+        # a posture of a sequence has as many readings as others have trials
+        self.readings = TRIALS_ADVISED if path == 'sequence' else 1
         self.released = 0
         self._random = np.random.default_rng(seed)
 
     @property
-    def position_noise(self) -> float | None:
+    def position_noise(self) -> float:
         """Standard deviation [m] of a coordinate of a trial."""
-        once = self.path == 'sequence'  # a posture has as many readings as others have trials
-        return float(self.noise.position / np.sqrt(TRIALS_ADVISED if once else 1))
+        return float(self.noise.position / np.sqrt(self.readings))
 
     def measure(self, inputs: Floats, trials: int) -> PostureMeasured:
         """Measure a posture."""
@@ -134,9 +135,8 @@ class SimulatedArm:
             mean = self.markers_after(inputs * factors)
         except (NoEquilibriumError, InputError) as error:
             raise BrokenMeasurementError(f'the arm does not stand: {error}') from None
-        size = float(self.position_noise or 0.0)
-        frames = trials * (TRIALS_ADVISED if self.path == 'sequence' else 1)
-        return PostureMeasured(mean + self._random.normal(0.0, size, mean.shape), None, frames)
+        noise = self._random.normal(0.0, self.position_noise, mean.shape)
+        return PostureMeasured(mean + noise, None, trials * self.readings)
 
     def release(self) -> None:
         """Release the arm: it is straight, without friction memory."""

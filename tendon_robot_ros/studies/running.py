@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from pathlib import Path
-from types import UnionType
 from typing import Any, Protocol
 
 from ..common.errors import DataSetError, Progress, listener
@@ -145,13 +144,9 @@ class GrowingTable[R: Row]:
         plain = {str: a.string(), float: a.float64(), int: a.int64(), bool: a.bool_()}
         for one in fields(self.kind):
             hint = types[one.name]
-            members = [m for m in typing.get_args(hint) if m not in (type(None), Ellipsis)]
-            if isinstance(hint, UnionType):
-                yield a.field(one.name, plain[members[0]])
-            elif members:
-                yield a.field(one.name, a.list_(plain[members[0]]))
-            else:
-                yield a.field(one.name, plain[hint])
+            kind = plain[next(iter(typing.get_args(hint)), hint)]  # of `float | None`: float
+            is_list = typing.get_origin(hint) is tuple
+            yield a.field(one.name, a.list_(kind) if is_list else kind)
 
     def files(self) -> list[Path]:
         """List the files, oldest first."""
