@@ -74,9 +74,9 @@ def quantities(values: Mapping[str, Value], load: LoadVector | None = None) -> s
 class _Found:
     """The values of a parameter in a sentence: '5.0 ± 0.3 % stiffer (distal)'."""
 
-    def __init__(self, values: Mapping[str, Value], name: str, size: float) -> None:
+    def __init__(self, values: Mapping[str, Value], name: str) -> None:
         self.values = {key: one for key, one in values.items() if key.partition('[')[0] == name}
-        self.size = size
+        self.size = _largest(values, next(iter(self.values.values())).unit)
 
     def __format__(self, words: str) -> str:
         """Say the values; of two words such as `more/less` the one that suits the sign."""
@@ -105,11 +105,7 @@ def finding_words(
     `pushes` are those of the details of a diagnosis: where it pushes the arm.
     """
     names = dict.fromkeys(key.partition('[')[0] for key in values)
-    found: dict[str, Any] = {
-        name: _Found(values, name, _largest(values, one.unit))
-        for name in names
-        for one in [next(v for k, v in values.items() if k.partition('[')[0] == name)]
-    }
+    found: dict[str, Any] = {name: _Found(values, name) for name in names}
     if load is not None:
         found |= {'size': _with_interval('', load.size), 'direction': load_direction(load)}
     fields = {field for _, field, _, _ in Formatter().parse(finding) if field}
@@ -340,13 +336,8 @@ def place_of(fault: Fault) -> str:
         return str(fault['place'])
     numbers = sorted({int(name.split()[1]) for name, _, _ in alike})
     tail = ''.join(str(fault['place']).partition(' towards ')[1:])
-    runs = list[list[int]]()
-    for number in numbers:
-        if not runs or number > runs[-1][-1] + 1:
-            runs.append([])
-        runs[-1].append(number)
     names = list[str]()
-    for run in runs:
+    for run in np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1):
         names += [f'{run[0]} to {run[-1]}'] if len(run) > 2 else map(str, run)
     among = 'one of the cells' if len(names) < len(numbers) else 'cell'
     return f'{among} {listed(names, "or")}{tail}'
