@@ -19,6 +19,7 @@ from ..diagnosis.result import Diagnosis
 from ..diagnosis.verdict import POSTURES_ENOUGH, POSTURES_MIN, SEPARABLE_FROM_SD, Verdict
 from ..effects import Catalogue
 from ..inference.predict import Predictor, frees_of
+from ..inference.statistics import rms
 
 
 @dataclass(frozen=True)
@@ -242,7 +243,7 @@ def possible(
             for end in (value.low, value.high):
                 changed = predictor.markers({**best, free: end}) if np.isfinite(end) else None
                 if changed is not None:
-                    tip = float(np.sqrt(((changed - described)[:, -1] ** 2).sum(axis=1).mean()))
+                    tip = rms((changed - described)[:, -1])
                     motions[row.name] = max(motions.get(row.name, 0.0), tip)
     exceeding = {name: tip for name, tip in motions.items() if tip > visible}
     return dict(sorted(exceeding.items(), key=lambda item: -item[1]))

@@ -20,7 +20,7 @@ from ..common.errors import InputError, TendonRobotError
 from ..common.files import read_text, write_text
 from ..common.words import commands
 from ..data import DataSet, Marker, load_dataset, save_dataset
-from ..inference.statistics import SIGNIFICANCE
+from ..inference.statistics import SIGNIFICANCE, mean_over
 from ..monitoring.change import ChangeFinder, Suspect, described
 from ..robot import Robot, dump_robot
 from .choice import Room
@@ -354,12 +354,11 @@ def separate_changes(
         why = f'separates {first}{more}' if len(names) > 1 else f'is to confirm {first}'
         measured = measurer.next(rows[best], why, {'asked': names})
         if measured is not None:
-            inputs, visible = rows[best], np.isfinite(measured.positions)
+            inputs = rows[best]
             if measured.inputs is not None:
                 inputs = np.nanmean(measured.inputs, axis=0)
-            count = np.where(visible.any(axis=0), visible.sum(axis=0), np.nan)
             # all trials of a posture are one measurement
-            finder.take(inputs, np.nansum(measured.positions, axis=0) / count, measured.frames)
+            finder.take(inputs, mean_over(measured.positions, 0), measured.frames)
             suspects = finder.suspects()
             report_suspects(measurer, suspects)
     rest = likely(suspects)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from ..common.errors import Progress, choice, listener, names, number, refusal, whole
 from ..common.files import new_file
-from ..common.rotations import towards
+from ..common.rotations import about, towards
 from ..data import DataSet, Marker, default_markers
 from ..data.arrays import markers_of, split_by_order
 from ..data.dataset import INPUTS, PATHS
@@ -200,10 +200,8 @@ def tracker_frame(gravity: Sequence[float] | None, lab: Laboratory) -> tuple[Flo
     down = np.array([0.0, 0.0, -1.0] if gravity is None else gravity, dtype=float)
     size = float(np.linalg.norm(down))
     above = np.array([0.0, 0.0, 1.0]) if size == 0.0 else -down / size
-    s, c = np.sin(lab.turned), np.cos(lab.turned)
     up = np.array([0.0, 1.0, 0.0])
-    about_up = np.array([[c, 0.0, s], up, [-s, 0.0, c]])
-    return about_up @ towards(up) @ towards(above).T, np.array(lab.shift)
+    return about(1, lab.turned) @ towards(up) @ towards(above).T, np.array(lab.shift)
 
 
 def raw_table(

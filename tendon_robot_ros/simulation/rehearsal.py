@@ -14,6 +14,7 @@ from ..common.errors import InputError, NoEquilibriumError, whole
 from ..common.words import STANDARD_GRAVITY, digits, listed, mm
 from ..diagnosis.verdict import Verdict
 from ..effects import Catalogue
+from ..inference.statistics import rms
 from ..model.model import Model
 from ..robot import Robot, load_robot
 from ..robot.description import EffectValues
@@ -155,8 +156,7 @@ def _tip_change(robot: Robot, catalogue: Catalogue, name: str, values: EffectVal
         shapes = with_it.shapes(tensions)
     except (NoEquilibriumError, InputError):
         return float('inf')
-    tip = with_it.measured(shapes.positions[:, -1:])[:, 0]
-    return float(np.sqrt(((tip - without.tip_position) ** 2).sum(axis=1).mean()))
+    return rms(with_it.measured(shapes.positions[:, -1:])[:, 0] - without.tip_position)
 
 
 def _scaled(catalogue: Catalogue, name: str, values: EffectValues, factor: float) -> EffectValues:

@@ -314,15 +314,9 @@ def confusion_figure(rows: Sequence[CaseRow]) -> Figure:
         'zmax': 100.0,
         'showscale': False,
     }
-    layout = {
-        'xaxis': {'tickangle': -60, 'type': 'category'},
-        # a little off, so that the title does not lie on long names
-        'yaxis': {
-            'title': {'text': 'hidden', 'standoff': 8},
-            'autorange': 'reversed',
-            'type': 'category',
-        },
-    }
+    # a little off, so that the title does not lie on long names
+    y = {'title': {'text': 'hidden', 'standoff': 8}, 'autorange': 'reversed', 'type': 'category'}
+    layout = axes({'tickangle': -60, 'type': 'category'}, y)
     caption = 'cases; a class of effects that cannot be told apart counts as the hidden member'
     title = 'What was said (columns) of what was hidden (rows)'
     return Figure([heat], layout, title, caption, 260 + 24 * len(hidden))

@@ -337,17 +337,10 @@ def error_figure(history: Sequence[FleetRow]) -> Figure:
         'noise floor': (FLOOR, [row.floor for row in history]),
     }
     text = [escape(words_of(row)) for row in history]
-    data = [
-        trace(
-            when,
-            mm_list(np.array(errors, dtype=float)),
-            name,
-            'lines+markers',
-            text=text,
-            line={'color': colour},
-        )
-        for name, (colour, errors) in kinds.items()
-    ]
+    data = []
+    for name, (colour, errors) in kinds.items():
+        y, line = mm_list(np.array(errors, dtype=float)), {'color': colour}
+        data.append(trace(when, y, name, 'lines+markers', text=text, line=line))
     layout = axes({'type': 'date'}, titled('error, rms [mm]', rangemode='tozero'))
     return Figure(data, layout, 'Errors over time')
 

@@ -16,7 +16,6 @@ import argparse
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,7 @@ from ..common.errors import DataSetError, InputError
 from ..common.words import listed
 from ..data.csv_file import CsvFile
 from ..inference.outliers import TRIALS_MIN
-from ..inference.statistics import estimate
+from ..inference.statistics import estimate, normal_ppf
 from ..robot import Robot, load_robot
 
 HELP = 'friction coefficient from slip angles, into a robot description'
@@ -108,7 +107,7 @@ class SlipFriction:
             raise InputError(f'slip angles: {expected}; measure more')
         mean = estimate(tangents)
         off = np.abs(tangents - np.median(tangents))
-        spread = float(np.median(off)) / NormalDist().inv_cdf(0.75)  # 1 sd if they are normal
+        spread = float(np.median(off)) / normal_ppf(0.75)  # 1 sd if they are normal
         far = off > OUTLIER_FROM_SD * spread if spread > 0.0 else np.zeros(self.n, dtype=bool)
         self.mean, self.low, self.high = mean.mean, mean.low, mean.high  # 95 % t-interval
         self.sd = float(tangents.std(ddof=1))  # of one measurement

@@ -10,7 +10,6 @@ import collections
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from ..diagnosis.verdict import SAME_ERROR_RATIO, Verdict
 from ..effects import load_catalogue
 from ..inference.intervals import Value
 from ..inference.predict import Predictor
-from ..inference.statistics import rms
+from ..inference.statistics import normal_ppf, rms
 from ..model.model import Model
 from ..model.versions import catalogue_of
 from ..simulation.hidden import CAUSES, Built
@@ -345,8 +344,8 @@ def coverage(rows: Sequence[CaseRow]) -> list[tuple[float, Rate]]:
         for true, value, low, high in zip(row.truth, row.value, row.low, row.high, strict=True):
             half = (high - value) if true > value else (value - low)
             z.append(abs(true - value) / half if half > 0.0 else float(true != value) * np.inf)
-    full = NormalDist().inv_cdf(0.975)
-    limits = [(nominal, NormalDist().inv_cdf(0.5 + 0.5 * nominal) / full) for nominal in NOMINAL]
+    full = normal_ppf(0.975)
+    limits = [(nominal, normal_ppf(0.5 + 0.5 * nominal) / full) for nominal in NOMINAL]
     return [(nominal, Rate.of(one <= limit for one in z)) for nominal, limit in limits]
 
 
