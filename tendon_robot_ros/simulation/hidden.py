@@ -134,14 +134,10 @@ def chosen(effect: Effect, values: HiddenValues, robot: Robot) -> EffectValues:
     result: EffectValues = {}
     sections = len(robot.sections)
     for parameter in effect.parameters:
+        shapes = parameter.has_default or parameter.only_described
         if parameter.name in values:
             result[parameter.name] = checked(effect.name, parameter, values[parameter.name], robot)
-        elif (
-            values
-            or parameter.has_default
-            or parameter.only_described
-            or parameter.name.endswith(('_y', '_z'))
-        ):
+        elif values or shapes or parameter.name.endswith(('_y', '_z')):
             result[parameter.name] = parameter.neutral
         elif parameter.per_section and sections > 1:
             typical = parameter.typical

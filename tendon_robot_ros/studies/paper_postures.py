@@ -284,12 +284,11 @@ def models_of(robot: Robot, lever: float) -> list[tuple[str, Robot]]:
 def errors_of_lever(robot: Robot, lever: float) -> dict[tuple[str, str], float]:
     """Largest distance [m] of FKM and PCCA from the model with hinge friction, without noise."""
     inputs = list(Published.POSTURES_N.values())
-    fkm, constant, real = (
-        Model(one).shapes(inputs).positions for _, one in models_of(robot, lever)
-    )
+    cells = {name: Model(one).shapes(inputs).positions for name, one in models_of(robot, lever)}
+    real = cells.pop(HINGE_MODEL)
     return {
         (posture, name): float(np.linalg.norm(model[p] - real[p], axis=1).max())
-        for name, model in (('FKM', fkm), ('PCCA', constant))
+        for name, model in cells.items()
         for p, posture in enumerate(Published.POSTURES_N)
     }
 

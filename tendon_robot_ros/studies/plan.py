@@ -94,10 +94,8 @@ class CampaignPlan:
         for arm in setup.arms:
             digests[f'robot {arm.name}'] = _digest(dump_robot(arm.robot), arm.down)
         for i, one in enumerate(setup.designs):
-            data = (
-                () if one.data is None else (one.data.inputs.tobytes(), one.data.trials.tobytes())
-            )
-            counts = one.postures, one.trials, one.markers
+            measured = () if one.data is None else (one.data.inputs, one.data.trials)
+            counts, data = (one.postures, one.trials, one.markers), [m.tobytes() for m in measured]
             digests[f'design {i + 1}'] = _digest(one.name, *counts, *data)
         for i, (name, noise) in enumerate(setup.noises):
             digests[f'noise {i + 1}'] = _digest(name, noise)

@@ -431,21 +431,18 @@ def _in_plane(model: Model, angle: float, steps: int) -> list[Posture]:
 
 def _around(model: Model, angle: float, steps: int) -> list[Posture]:
     straight = model.shape(model.limits[:, 0])  # from there, a gentle bend and no curl
-    first = model.reach(direction=[np.sin(angle), 0.0, np.cos(angle)], guess=straight)
+    looks = np.array([np.sin(angle), 0.0, np.cos(angle)])
+    first = model.reach(direction=looks, guess=straight)
     postures, shape = [], first.shape
     for i, phi in enumerate(np.linspace(0.0, 2.0 * np.pi, steps)):
-        place = about(2, phi) @ first.shape.tip_position
-        along = about(2, phi) @ np.array([np.sin(angle), 0.0, np.cos(angle)])
+        place, along = about(2, phi) @ first.shape.tip_position, about(2, phi) @ looks
         solution = model.reach(place, along, guess=shape)
-        if (
-            solution.position_error > POSITION_TOLERANCE_M
-            or solution.direction_error > DIRECTION_TOLERANCE_RAD
-        ):
+        apart, turned = solution.position_error, solution.direction_error
+        if apart > POSITION_TOLERANCE_M or turned > DIRECTION_TOLERANCE_RAD:
             raise InputError(
                 f'{model.robot.name}: the {np.degrees(angle):.0f}° view is out of reach when '
-                f'turned by {np.degrees(phi):.0f}°: nearest '
-                f'{1e3 * solution.position_error:.1f} mm, '
-                f'{np.degrees(solution.direction_error):.1f}°; ask for a smaller angle'
+                f'turned by {np.degrees(phi):.0f}°: nearest {1e3 * apart:.1f} mm, '
+                f'{np.degrees(turned):.1f}°; ask for a smaller angle'
             )
         shape = solution.shape
         postures.append(Posture.of(str(i), shape))
