@@ -12,20 +12,8 @@ asks for.
 
 import math
 
-from . import stages
-from .layout import (
-    DIFFERENCE_STEP,
-    EPSILON,
-    HINGE,
-    PRESENT,
-    STIFFNESS,
-    cell,
-    compiled,
-    floats,
-    fused,
-    inlined,
-    section_of,
-)
+from . import layout, stages
+from .layout import cell, compiled, floats, fused, inlined, section_of
 
 
 @compiled
@@ -82,10 +70,16 @@ def turned_axes(f, angle):
 
 
 @inlined
+def frame_at(start):
+    """Frame (9,) at an address."""
+    f = floats(start)
+    return f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8]
+
+
+@inlined
 def bending_frame(chain, state, work, i, general):
     """Frame (9,) in which cell i bends: where it begins, turned by half its twist."""
-    f = floats(work.frames + 72 * i)
-    frame = (f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8])
+    frame = frame_at(work.frames + 72 * i)
     if general:
         return turned_axes(frame, 0.5 * twist_in(chain, state, i))
     return frame
@@ -235,7 +229,7 @@ def chain_frames(chain, bend, work):
     for i in range(chain.n):
         x, y, sine, cosine = bends[2 * i], bends[2 * i + 1], half[2 * i], half[2 * i + 1]
         q = x * x + y * y
-        across, along = end_of(q, sine, cosine, lengths[i], cell(chain, i, HINGE))
+        across, along = end_of(q, sine, cosine, lengths[i], cell(chain, i, layout.HINGE))
         sinc, versine = 2.0 * sine * cosine, 2.0 * sine * sine
         cosine = 1.0 - versine * q
         if twists:
@@ -256,7 +250,9 @@ def chain_frames(chain, bend, work):
 @compiled
 def cell_stiffness(chain, i, section):
     """Bending stiffness of cell i with the tendons in it [N·m/rad]."""
-    return stages.stiffness(cell(chain, i, STIFFNESS), cell(chain, i, PRESENT), chain, section)
+    return stages.stiffness(
+        cell(chain, i, layout.STIFFNESS), cell(chain, i, layout.PRESENT), chain, section
+    )
 
 
 @compiled
@@ -285,14 +281,14 @@ def bend_of(chain, k, size, section):
     t = min(t, 1.0)
     for _ in range(60):
         g = stages.stiffening(1.0, t * t, chain, section)
-        h = DIFFERENCE_STEP * (1.0 + t)
+        h = layout.DIFFERENCE_STEP * (1.0 + t)
         slope = (
             stages.stiffening(1.0, (t + h) * (t + h), chain, section)
             - stages.stiffening(1.0, (t - h) * (t - h), chain, section)
         ) / (2.0 * h)
         step = (k * t * g - size) / (k * (g + t * slope))
         t -= step
-        if abs(step) < 50.0 * EPSILON * (1.0 + t):
+        if abs(step) < 50.0 * layout.EPSILON * (1.0 + t):
             return t
     return math.nan
 
@@ -366,7 +362,7 @@ def bend_against(chain, past, i, mx, my):
     xx, yx, xy, yy = stiffness, 0.0, 0.0, stiffness
     for _ in range(60):
         size, over, part = fx * fx + fy * fy, 1.0 / (xx * yy - xy * yx), 1.0
-        if size < (EPSILON * stiffness) ** 2:
+        if size < (layout.EPSILON * stiffness) ** 2:
             return x, y
         to_x, to_y = over * (xy * fy - yy * fx), over * (yx * fx - xx * fy)
         gx, gy = unbalanced(chain, past, i, x + to_x, y + to_y, mx, my)
@@ -375,7 +371,7 @@ def bend_against(chain, past, i, mx, my):
             gx, gy = unbalanced(chain, past, i, x + part * to_x, y + part * to_y, mx, my)
         to_x, to_y = part * to_x, part * to_y
         moved = to_x * to_x + to_y * to_y
-        if moved < (10.0 * EPSILON) ** 2:
+        if moved < (10.0 * layout.EPSILON) ** 2:
             return x, y
         x, y = x + to_x, y + to_y
         ex = (gx - fx - xx * to_x - xy * to_y) / moved

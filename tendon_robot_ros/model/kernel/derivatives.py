@@ -34,14 +34,7 @@ from .layout import (
     work_size,
 )
 from .linearisation import TRAVEL_STEP
-from .shape import (
-    place,
-    remember,
-    remember_bends,
-    wire_pulls,
-    work_in,
-    workspace,
-)
+from .shape import place, remember, remember_bends, wire_pulls, work_in, workspace
 from .sweep import is_implicit
 
 AHEAD_RAD = DIFFERENCE_STEP  # [rad] step of a state that shows to which side eyelets slide

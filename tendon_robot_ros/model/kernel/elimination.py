@@ -14,6 +14,7 @@ from collections import namedtuple
 
 import numpy as np
 
+from . import linearisation as part
 from . import stages
 from .cells import coordinates
 from .layout import (
@@ -29,34 +30,7 @@ from .layout import (
     solve_rows,
     words,
 )
-from .linearisation import (
-    BEFORE,
-    BY_FORCE,
-    BY_ROTATION,
-    BY_TENSION,
-    BY_TORQUE,
-    GROWS,
-    LAGS,
-    OWN,
-    PASSED,
-    PULLS,
-    PUSH_TORQUE,
-    REACH,
-    ROTATIONS,
-    SHIFTS,
-    SIZE,
-    SLIDES,
-    TENDON,
-    TORQUE_BY_FORCE,
-    TORQUE_BY_OWN,
-    TORQUE_BY_ROTATION,
-    TRAVELS,
-    WITHIN,
-    differentiate,
-    pushed_part,
-    tangent_of,
-    tangent_width,
-)
+from .linearisation import differentiate, pushed_part, tangent_of, tangent_width, tendon_part
 from .loads import loaded
 
 # System: sizes and addresses of the equations. Columns: the tensions that come in (kt of them, if
@@ -122,9 +96,9 @@ def answer_own(chain, system, row, s):
         for a in range(frame - kt):
             total = answers[kt + a]
             for m in range(min(loads, 3)):
-                total += answers[frame + m] * floats(row)[ROTATIONS + 3 * m + a]
+                total += answers[frame + m] * floats(row)[part.ROTATIONS + 3 * m + a]
             for m in range(loads - 3):
-                total += answers[frame + 3 + m] * pushed_part(chain, row)[SHIFTS + 3 * m + a]
+                total += answers[frame + 3 + m] * pushed_part(chain, row)[part.SHIFTS + 3 * m + a]
             own[3 * r + a] = total
 
 
@@ -148,14 +122,14 @@ def pass_tensions(chain, system, i, row, s):
             change[k] = 1.0  # of what is pulled at the base
         if i == 0 or i >= tendon[2 * k]:
             continue
-        slopes = floats(row + 8 * (SIZE + TENDON * k))
-        change[k] = slopes[PASSED]
-        if slopes[LAGS] != 0.0:
-            change[width - 1] = slopes[LAGS]  # in the last right-hand side
+        slopes = tendon_part(row, k)
+        change[k] = slopes[part.PASSED]
+        if slopes[part.LAGS] != 0.0:
+            change[width - 1] = slopes[part.LAGS]  # in the last right-hand side
         for a in range(system.frame - kt):
-            change[kt + a] = slopes[BEFORE + a]
-            direct[a] = slopes[WITHIN + a] + slopes[SLIDES] * slopes[TRAVELS + a]
-        if slopes[SLIDES] != 0.0:
+            change[kt + a] = slopes[part.BEFORE + a]
+            direct[a] = slopes[part.WITHIN + a] + slopes[part.SLIDES] * slopes[part.TRAVELS + a]
+        if slopes[part.SLIDES] != 0.0:
             active[count] = k
             count += 1
     if count > 0:
@@ -170,7 +144,7 @@ def slide_together(system, i, row, s, count):
     changes, all_direct = system.tensions + 8 * width * kt * i, floats(system.direct)
     for p in range(count):
         k = active[p]
-        slides = floats(row + 8 * (SIZE + TENDON * k))[SLIDES]
+        slides = tendon_part(row, k)[part.SLIDES]
         answers, change = floats(s + 8 * width * k), floats(changes + 8 * width * k)
         at = system.side + 8 * (width + own) * p
         side = floats(at)
@@ -202,8 +176,8 @@ def slide_together(system, i, row, s, count):
 def by_load(chain, row, a, m):
     """Differentiate residual a of a cell by torque (m below 3) or force at its end."""
     if m < 3:
-        return floats(row)[BY_TORQUE + 3 * a + m]
-    return pushed_part(chain, row)[BY_FORCE + 3 * a + m - 3]
+        return floats(row)[part.BY_TORQUE + 3 * a + m]
+    return pushed_part(chain, row)[part.BY_FORCE + 3 * a + m - 3]
 
 
 @inlined
@@ -211,7 +185,7 @@ def moved_by(row, m, a):
     """Component m of how far the end of a cell moves when its start turns about axis a [m/rad]."""
     if m == a:
         return 0.0
-    reach = row[REACH + 3 - m - a]
+    reach = row[part.REACH + 3 - m - a]
     return reach if (a + 1) % 3 != m else -reach
 
 
@@ -222,16 +196,16 @@ def answer_pushes(chain, system, i, row, s):
     slopes = pushed_part(chain, row)
     for r in range(6):
         answers = floats(s + 8 * width * (kt + r))
-        for c in range(6):
-            answers[frame + c] += slopes[PUSH_TORQUE + 6 * r + c]  # those of PUSH_FORCE follow
+        for c in range(6):  # behind the rows of PUSH_TORQUE are those of PUSH_FORCE
+            answers[frame + c] += slopes[part.PUSH_TORQUE + 6 * r + c]
     answer_own(chain, system, row, s)
     for r in range(kt + 6):
         answers = floats(s + 8 * width * r)
         for a in range(3):
-            by_place, reach = answers[frame + 3 + a], slopes[REACH + a]
+            by_place, reach = answers[frame + 3 + a], slopes[part.REACH + a]
             for k in range(kt):
                 if i < words(chain.tendon)[2 * k]:
-                    answers[k] += by_place * reach * slopes[GROWS]
+                    answers[k] += by_place * reach * slopes[part.GROWS]
             for m in range(3):
                 answers[frame + a] += answers[frame + 3 + m] * moved_by(slopes, m, a)
 
@@ -243,12 +217,12 @@ def gather_cell(chain, system, i, row, s):
     slopes, pivot, loads = floats(row), floats(system.pivot), system.right - frame
     changes, bends = system.tensions + 8 * width * kt * i, system.bends + 8 * width * size * i
     for q in range(9):
-        pivot[q] = slopes[OWN + q]
+        pivot[q] = slopes[part.OWN + q]
     for k in range(kt):
         if i >= words(chain.tendon)[2 * k]:
             continue
         for a in range(size):
-            factor = floats(row + 8 * (SIZE + TENDON * k))[BY_TENSION + a]
+            factor = tendon_part(row, k)[part.BY_TENSION + a]
             for m in range(loads):
                 factor += by_load(chain, row, a, m) * floats(s)[width * (kt + m) + k]
             for b in range(size):
@@ -260,7 +234,7 @@ def gather_cell(chain, system, i, row, s):
             for b in range(size):
                 pivot[3 * a + b] += factor * floats(system.by_own)[3 * (kt + m) + b]
             if m < 3:
-                floats(bends)[width * a + frame + m] -= slopes[BY_ROTATION + 3 * a + m]
+                floats(bends)[width * a + frame + m] -= slopes[part.BY_ROTATION + 3 * a + m]
             add_row(bends + 8 * width * a, -factor, s + 8 * width * (kt + m), frame, width)
 
 
@@ -332,27 +306,28 @@ def answer(chain, system, i, row, s, out):
     slopes, tendon = floats(row), words(chain.tendon)
     for k in range(kt):
         if words(system.first)[k] <= i < tendon[2 * k]:
-            row_k = floats(row + 8 * (SIZE + TENDON * k))
-            extra = (row_k[TRAVELS], row_k[TRAVELS + 1], row_k[TRAVELS + 2])
+            row_k = tendon_part(row, k)
+            extra = (row_k[part.TRAVELS], row_k[part.TRAVELS + 1], row_k[part.TRAVELS + 2])
             answer_row(system, i, k, s, extra, out)
         else:
             for j in range(width):
                 floats(out)[width * k + j] = 0.0
     loads = system.right - frame
     for m in range(min(loads, 3)):
-        at = TORQUE_BY_OWN + 3 * m
+        at = part.TORQUE_BY_OWN + 3 * m
         extra = (slopes[at], slopes[at + 1], slopes[at + 2])
         for k in range(kt):
             if i < tendon[2 * k]:
-                pulls = floats(row + 8 * (SIZE + TENDON * k))[PULLS + m]
+                pulls = tendon_part(row, k)[part.PULLS + m]
                 floats(s)[width * (kt + m) + k] += pulls
         answer_row(system, i, kt + m, s, extra, out)
+        at = part.TORQUE_BY_ROTATION + 3 * m
         for a in range(3):
-            floats(out)[width * (kt + m) + frame + a] += slopes[TORQUE_BY_ROTATION + 3 * m + a]
+            floats(out)[width * (kt + m) + frame + a] += slopes[at + a]
     for m in range(loads - 3):
         answer_row(system, i, kt + 3 + m, s, (0.0, 0.0, 0.0), out)
         for a in range(3):
-            factor = pushed_part(chain, row)[TORQUE_BY_FORCE + 3 * a + m]
+            factor = pushed_part(chain, row)[part.TORQUE_BY_FORCE + 3 * a + m]
             source = out + 8 * width * (kt + 3 + m)
             add_row(out + 8 * width * (kt + a), factor, source, ZERO, width)
 
@@ -374,7 +349,7 @@ def eliminate(chain, system, tangent):
     for k in range(system.kt):
         words(system.first)[k] = chain.n
         for i in range(words(chain.tendon)[2 * k] - 1, 0, -1):
-            if floats(tangent_of(chain, tangent, i) + 8 * (SIZE + TENDON * k))[SLIDES] != 0.0:
+            if tendon_part(tangent_of(chain, tangent, i), k)[part.SLIDES] != 0.0:
                 words(system.first)[k] = i
     for i in range(chain.n - 1, -1, -1):
         row = tangent_of(chain, tangent, i)
@@ -402,16 +377,16 @@ def move_frame(chain, system, i, row, own, u):
     """Change rotation, and place, where cell i starts, which u holds, to those where it ends."""
     kt, frame, more = system.kt, system.frame, pushed_part(chain, row)
     for m in range(system.right - frame - 3):
-        at = SHIFTS + 3 * m
+        at = part.SHIFTS + 3 * m
         move = more[at] * own[0] + more[at + 1] * own[1] + more[at + 2] * own[2]
         for a in range(3):
             move += moved_by(more, m, a) * u[frame + a]
         for k in range(kt):
             if i < words(chain.tendon)[2 * k]:
-                move += more[REACH + m] * more[GROWS] * u[k]
+                move += more[part.REACH + m] * more[part.GROWS] * u[k]
         u[frame + 3 + m] += move
     for m in range(min(system.right - frame, 3)):
-        at = ROTATIONS + 3 * m
+        at = part.ROTATIONS + 3 * m
         slopes = floats(row)
         u[frame + m] += slopes[at] * own[0] + slopes[at + 1] * own[1] + slopes[at + 2] * own[2]
 

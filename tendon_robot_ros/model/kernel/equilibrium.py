@@ -40,6 +40,7 @@ from .layout import (
     LENGTH,
     LINEAR_STEP_RAD,
     LOAD_SCALE,
+    NO,
     SETTLED_RAD,
     SHAPED,
     SLIPPING_FROM,
@@ -64,16 +65,16 @@ from .layout import (
     solve_small,
     words,
 )
-from .loads import force_at_tip, loaded, pushed, weight
+from .loads import at_tip, loaded, pushed, weight
 from .sweep import (
     active_stages,
+    axial_moment_on,
     base_tensions,
     moment_arms_of,
+    moment_on,
     pass_eyelet,
     ratio_at,
     slip_rate_in,
-    tendon_moment,
-    tendons_about,
 )
 
 ANDERSON_DEPTH = 5  # [1] last guesses that are combined; more would combine rounding errors
@@ -176,7 +177,7 @@ def twist_residual(chain, work, i, x, y, twist):
     """Residual [rad] of the twist of cell i, bent by (x, y), whose tensions are known."""
     s, c = floats(work.half)[2 * i], floats(work.half)[2 * i + 1]
     shaped_travel(chain, i, x, y, s, c, twist, stages.offset_scale(1.0, chain, 0), work)
-    return twist - twist_of(chain, i, tendons_about(chain, work, i))
+    return twist - twist_of(chain, i, axial_moment_on(chain, work, i, NO))
 
 
 @compiled
@@ -216,7 +217,7 @@ def cell_residual(chain, work, past, state, i, last_x, last_y, x, y):
         pass_eyelet(chain, work, past, j, last_x, last_y, passed, rate, moment_arms, scale, flags)
     if stages.torsion_acts(chain):
         solve_twist(chain, work, state, i, x, y)
-    mx, my, total = tendon_moment(chain, work, i, moment_arms, factor)
+    mx, my, total = moment_on(chain, work, i, moment_arms, factor, NO)
     bx, by = bend_cell(chain, past, i, mx, my, total)
     return x - bx, y - by
 
@@ -275,20 +276,29 @@ def next_travel(z, travel, width, new_width):
 
 
 @compiled
-def take_over(chain, work, move, own, width, new_width):
+def take_over(chain, bend, work, move, own, width, longest, shrink):
     """
-    Move the travel of the eyelets with a step of the bends, and change the smoothing length.
+    Move the travel of the eyelets with a step of the bends; return the next smoothing length.
 
     Parameters
     ----------
+    bend : address
+        State after the step [rad], whose travel and moment arms `work` takes.
     move : ndarray, shape (u,)
         Step of the bends [rad].
     own : ndarray, shape (4, n, k)
         Travel [m]: the eyelets' own, in the cell and beyond, then the real one, likewise.
-    width, new_width : float
-        Smoothing length now and next [m].
+    width : float
+        Smoothing length now [m].
+    longest : float
+        Step [rad] that was asked for: after a short one the smoothing length shrinks.
+    shrink : float
+        Factor on it then [1].
 
     """
+    new_width = width
+    if longest < LINEAR_STEP_RAD:
+        new_width = max(shrink * width, SMOOTHING_LENGTH)
     tendon, (moment_arms, scale) = words(chain.tendon), moment_arms_of(chain, work)
     lever, twists = floats(moment_arms), stages.torsion_acts(chain)
     for k in range(chain.k):
@@ -301,6 +311,8 @@ def take_over(chain, work, move, own, width, new_width):
             own[0, i, k] = next_travel(own[0, i, k], own[2, i, k] + step, width, new_width)
             own[1, i, k] = next_travel(own[1, i, k], own[3, i, k] + total, width, new_width)
             total += step
+    chain.place_travel(chain, bend, work)
+    return new_width
 
 
 @compiled
@@ -378,12 +390,7 @@ def solve_sliding(chain, inputs, x, work, past, wide, shrink, steps_max):
             x[j] += move[j]
         if longest < STEP_NEAR_RAD and width == SMOOTHING_LENGTH:
             break
-        new_width = width
-        if longest < LINEAR_STEP_RAD:
-            new_width = max(shrink * width, SMOOTHING_LENGTH)
-        take_over(chain, work, move, own, width, new_width)
-        width = new_width
-        chain.place_travel(chain, address(x), work)
+        width = take_over(chain, address(x), work, move, own, width, longest, shrink)
     end_sliding(chain, work)
     if not longest < STEP_NEAR_RAD:
         return math.inf
@@ -490,7 +497,7 @@ def load_ratio(chain, work):
     The second variation of a load's potential is at most |F| times the integral of the tangent's
     change squared, whatever the shape: below 1 every equilibrium is stable.
     """
-    x, y, z = force_at_tip(chain)
+    x, y, z = at_tip(chain)[0]
     force = math.sqrt(x * x + y * y + z * z)
     rigidity, total = math.inf, 0.0
     for i in range(chain.n):
@@ -540,11 +547,8 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     Returns the last change [rad]: above `BEND_TOLERANCE` there is no equilibrium and the state
     means nothing. work.tensions are those of the equilibrium.
     """
-    size, remembers, friction = (
-        unknowns(chain),
-        stages.memory_acts(chain),
-        stages.eyelet_acts(chain),
-    )
+    size, remembers = unknowns(chain), stages.memory_acts(chain)
+    friction = stages.eyelet_acts(chain)
     slides = friction and stages.friction_travel_acts(chain)
     x = np.empty(size)
     copy(bend, address(x), size)

@@ -2,28 +2,16 @@
 
 import math
 
-from . import stages
+from . import layout, stages
 from .cells import follows_shape, half_turn, leans, twist_in
-from .layout import (
-    HINGE,
-    LENGTH,
-    TINY,
-    cell,
-    compiled,
-    entry,
-    floats,
-    fused,
-    inlined,
-    section_of,
-    words,
-)
+from .layout import cell, compiled, entry, floats, fused, inlined, section_of, words
 
 
 @fused
 def polar(x, y, s, c):
     """Size of a bend [rad], its direction (x, y), sine and cosine of half the size."""
     q = x * x + y * y
-    if q < TINY:
+    if q < layout.TINY:
         return 0.0, 1.0, 0.0, 0.0, 1.0
     a = math.sqrt(q)
     over = 1.0 / a
@@ -40,7 +28,7 @@ def scale_lengths(chain, work):
             if i < tendon[2 * k]:
                 total += tensions[chain.k * i + k]
         shortened = stages.length(1.0, total, chain, section_of(chain, i))
-        floats(work.lengths)[i] = cell(chain, i, LENGTH) * shortened
+        floats(work.lengths)[i] = cell(chain, i, layout.LENGTH) * shortened
 
 
 @compiled
@@ -54,8 +42,8 @@ def bent_path(chain, i, radial, bend, sin_half, cos_half):
         sin_half,
         cos_half,
         radial,
-        cell(chain, i, LENGTH),
-        cell(chain, i, HINGE) > 0.5,
+        cell(chain, i, layout.LENGTH),
+        cell(chain, i, layout.HINGE) > 0.5,
         chain,
         section_of(chain, i),
     )
@@ -90,7 +78,8 @@ def leaning_tendon(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist):
     ahead, aside = rx * ux + ry * uy, ry * ux - rx * uy  # in the bend plane and across it
     co, si = math.cos(0.5 * (twist + helix)), math.sin(0.5 * (twist + helix))
     lost, along, across = bent_path(chain, i, co * ahead, bend, sin_half, cos_half)
-    reach, shift, shift_aside = cell(chain, i, LENGTH) - lost, -2.0 * si * aside, 2.0 * si * ahead
+    straight = cell(chain, i, layout.LENGTH)
+    reach, shift, shift_aside = straight - lost, -2.0 * si * aside, 2.0 * si * ahead
     q = cos_half * cos_half
     over = 1.0 / math.sqrt(reach * reach + q * shift * shift + shift_aside * shift_aside)
     along = reach * along + 0.5 * shift * shift * sin_half * cos_half
@@ -100,7 +89,6 @@ def leaning_tendon(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist):
     about = -0.5 * reach * across * bend * si * ahead
     about += co * (q * shift * aside - shift_aside * ahead)
     si = 2.0 * math.sin(0.5 * helix)
-    straight = cell(chain, i, LENGTH)
     straight = math.sqrt(straight * straight + si * si * (rx * rx + ry * ry))
     return straight - 1.0 / over, over * along, over * side, over * about
 

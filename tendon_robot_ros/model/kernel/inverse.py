@@ -16,37 +16,11 @@ import math
 
 import numpy as np
 
-from . import stages
+from . import layout, stages
 from .cells import unknowns
 from .derivatives import combine_tendons, input_response, tip_error, tip_slopes
-from .equilibrium import (
-    SHRINK_FACTORS,
-    end_sliding,
-    exchange,
-    own_travel,
-    take_over,
-)
-from .layout import (
-    DIFFERENCE_STEP,
-    EPSILON,
-    EVERY_METHOD,
-    LEAST_TENSION_N,
-    LINEAR_STEP_RAD,
-    SETTLED_RAD,
-    SMOOTHING,
-    SMOOTHING_LENGTH,
-    STEPS_MAX,
-    TINY,
-    WIDE_SMOOTHING,
-    address,
-    chain_at,
-    compiled,
-    entry,
-    floats,
-    largest,
-    monotonic,
-    solve_small,
-)
+from .equilibrium import SHRINK_FACTORS, end_sliding, exchange, own_travel, take_over
+from .layout import address, chain_at, compiled, entry, floats, largest, monotonic, solve_small
 from .shape import accept, is_balanced, place, predict, workspace
 from .sweep import is_implicit
 
@@ -244,12 +218,13 @@ def aim(
     price, damping = tension_price(f, inputs, low, tension), 1e-9
     cost = cost_of(f, inputs, low, price)
     is_explicit = not (is_implicit(chain) or stages.memory_acts(chain))
-    floats(work.settings)[EVERY_METHOD] = 0.0
+    floats(work.settings)[layout.EVERY_METHOD] = 0.0
     while trials_max > 0 and cost < far and monotonic() < floats(until)[0]:
         if is_explicit:
             for j in range(m):  # a sweep of the model is exact
                 was = inputs[j]
-                step = LEAST_TENSION_N if was + LEAST_TENSION_N <= high[j] else -LEAST_TENSION_N
+                step = layout.LEAST_TENSION_N
+                step = step if was + step <= high[j] else -step
                 inputs[j] = was + step
                 chain.step(chain, address(inputs), near, work, then, near)
                 inputs[j] = was
@@ -261,7 +236,7 @@ def aim(
             input_response(chain, address(inputs), solver.bend, work, then, state_slopes, True)
             tip_slopes(chain, inputs, solver, target, state_slopes, moved, jacobian)
         gain = 0.0
-        for _ in range(min(trials_max, STEPS_MAX)):
+        for _ in range(min(trials_max, layout.STEPS_MAX)):
             trials_max -= 1
             problem = (jacobian, f, inputs, low, high, price, damping)
             if gauss_newton_step(*problem, trial, free) == 0:
@@ -281,8 +256,8 @@ def aim(
         price = tension_price(f, inputs, low, tension)
         cost = cost_of(f, inputs, low, price)
         reached = cost_of(f, low, low, price) < tension[5]
-        least = max(enough, DIFFERENCE_STEP) if reached else DIFFERENCE_STEP
-        if gain < least * cost or cost < EPSILON:
+        least = max(enough, layout.DIFFERENCE_STEP) if reached else layout.DIFFERENCE_STEP
+        if gain < least * cost or cost < layout.EPSILON:
             break
     return cost_of(f, inputs, low, (tension[0], 0.0, tension[3], tension[4]))
 
@@ -311,11 +286,11 @@ def seek(
     f, slopes, move = np.empty(6), np.empty((6, m + 1)), np.empty(size)
     trial, free = np.empty(m), np.empty(m, np.int64)
     own, longest = own_travel(chain, solver.bend, work), math.inf
-    width = fraction * WIDE_SMOOTHING * SMOOTHING_LENGTH
+    width = fraction * layout.WIDE_SMOOTHING * layout.SMOOTHING_LENGTH
     for step in range(steps):
         if monotonic() > floats(until)[0]:
             break
-        floats(work.settings)[SMOOTHING] = width
+        floats(work.settings)[layout.SMOOTHING] = width
         exchange(chain, work, own)
         chain.balance(chain, tensions, solver.bend, work, then, address(residual))
         # the derivatives of the bends by every tension, last their step to balance
@@ -326,8 +301,9 @@ def seek(
         tip_slopes(chain, inputs, solver, target, directions, f, slopes)
         for r in range(6):
             f[r] += slopes[r, m]  # after the step of the bends that balances these tensions
-        damping = 0.0 if step < STEPS_MAX else FINAL_FRACTION  # later tensions go in circles
-        weight = preference if width > SMOOTHING_LENGTH else FINAL_FRACTION * preference
+        # later tensions go in circles
+        damping = 0.0 if step < layout.STEPS_MAX else FINAL_FRACTION
+        weight = preference if width > layout.SMOOTHING_LENGTH else FINAL_FRACTION * preference
         gauss_newton_step(
             slopes, f, inputs, low, high, (weight, 0.0, 1.0, 1.0), damping, trial, free
         )
@@ -338,19 +314,15 @@ def seek(
         longest = largest(move)
         if not longest < math.inf:
             break
-        part = min(1.0, LINEAR_STEP_RAD / max(longest, TINY))
+        part = min(1.0, layout.LINEAR_STEP_RAD / max(longest, layout.TINY))
         for q in range(size):
             move[q] *= part
             floats(solver.bend)[q] += move[q]
         for j in range(m):
             inputs[j] += part * (trial[j] - inputs[j])
-        if longest < SETTLED_RAD and width == SMOOTHING_LENGTH:
+        if longest < layout.SETTLED_RAD and width == layout.SMOOTHING_LENGTH:
             break
-        new_width = width
-        if longest < LINEAR_STEP_RAD:
-            new_width = max(SHRINK_FACTORS[1] * width, SMOOTHING_LENGTH)
-        take_over(chain, work, move, own, width, new_width)
-        width = new_width
-        chain.place_travel(chain, solver.bend, work)
+        shrink = SHRINK_FACTORS[1]
+        width = take_over(chain, solver.bend, work, move, own, width, longest, shrink)
     end_sliding(chain, work)
     return longest

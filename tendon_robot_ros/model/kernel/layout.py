@@ -57,7 +57,7 @@ def entry(signature=None):
     return make
 
 
-YES = np.bool_(True)
+YES, NO = np.bool_(True), np.bool_(False)
 ZERO = np.int64(0)  # [1] typed, because numba compiles a function anew for every literal
 NONE = ~ZERO  # no index, -1
 

@@ -64,58 +64,41 @@ from .loads import (
 )
 from .sweep import (
     active_stages,
+    axial_moment_on,
     moment_arms_of,
+    moment_on,
     slip_rate_in,
     smooth_sign,
-    tendon_moment,
-    tendons_about,
 )
 
 
-def _starts(parts):
+def _starts(*sizes):
     """Return the starts of parts of these sizes in a row, and last their total size."""
-    return accumulate(parts.values(), initial=0)
+    return accumulate(sizes, initial=0)
 
 
 # Derivatives of a cell, in their order: matrices of three by three. The residual [rad] by the own
 # bend and twist, by the rotation of the first frame (rotation vector, base frame) and by the
 # torque [N·m] at the end; the rotation of the last frame by the own bend and twist; the torque at
 # the start by the rotation of the first frame and by the own bend and twist.
-CELL_PARTS = 'OWN BY_ROTATION BY_TORQUE ROTATIONS TORQUE_BY_ROTATION TORQUE_BY_OWN'.split()
 MATRIX = len(BASE_FRAME)  # entries of such a matrix
 OWN, BY_ROTATION, BY_TORQUE, ROTATIONS, TORQUE_BY_ROTATION, TORQUE_BY_OWN, SIZE = _starts(
-    dict.fromkeys(CELL_PARTS, MATRIX)
+    MATRIX, MATRIX, MATRIX, MATRIX, MATRIX, MATRIX
 )
 # Then of every tendon: the residual by its tension; its tension behind the eyelet at the cell's
 # start by that before it, by bend and twist before and within the cell, by the travel beyond; its
 # travel by the own bend and twist; the torque by its tension; its tension behind the eyelet by
 # what the eyelet's travel lags.
-TENDON_PARTS = {
-    'BY_TENSION': 3,
-    'PASSED': 1,
-    'BEFORE': 3,
-    'WITHIN': 3,
-    'SLIDES': 1,
-    'TRAVELS': 3,
-    'PULLS': 3,
-    'LAGS': 1,
-}
-BY_TENSION, PASSED, BEFORE, WITHIN, SLIDES, TRAVELS, PULLS, LAGS, TENDON = _starts(TENDON_PARTS)
+BY_TENSION, PASSED, BEFORE, WITHIN, SLIDES, TRAVELS, PULLS, LAGS, TENDON = _starts(
+    3, 1, 3, 3, 1, 3, 3, 1
+)
 # Last, if something pushes at a place: the residual by the force [N] at the end; where the cell
 # ends [m] by the own bend and twist; the torque at the start by the force at the end; where the
 # cell ends, from its start (3,) [m]; torque [N·m] and force [N] of the push by rotation and place
 # of the end; how much the cell grows per tension [1/N].
-PUSH_PARTS = {
-    'BY_FORCE': 9,
-    'SHIFTS': 9,
-    'TORQUE_BY_FORCE': 9,
-    'REACH': 3,
-    'PUSH_TORQUE': 18,
-    'PUSH_FORCE': 18,
-    'GROWS': 1,
-}
-BY_FORCE, SHIFTS, TORQUE_BY_FORCE, REACH, *_LAST = _starts(PUSH_PARTS)
-PUSH_TORQUE, PUSH_FORCE, GROWS, PUSHED = _LAST
+BY_FORCE, SHIFTS, TORQUE_BY_FORCE, REACH, PUSH_TORQUE, PUSH_FORCE, GROWS, PUSHED = _starts(
+    9, 9, 9, 3, 18, 18, 1
+)
 
 
 @compiled
@@ -131,9 +114,15 @@ def tangent_of(chain, tangent, i):
 
 
 @compiled
+def tendon_part(row, k):
+    """Return the derivatives of tendon k among those of a cell at an address."""
+    return floats(row + 8 * (SIZE + TENDON * k))
+
+
+@compiled
 def pushed_part(chain, row):
     """Return the last part of the derivatives of a cell at an address."""
-    return floats(row + 8 * (SIZE + TENDON * chain.k))
+    return tendon_part(row, chain.k)
 
 
 NARROWINGS = (1.0, 1e-3, 1e-6)  # [1] of a difference at a kink: a narrower one would be rounding
@@ -195,12 +184,13 @@ def load_slopes(chain, bend, work, i, tangent, total):
         dx, dy = (h, 0.0) if a == 0 else (0.0, h)
         m, up, mid = loaded_cell(chain, work, i, x + dx, y + dy, loads, bow, general)
         n, low, lowmid = loaded_cell(chain, work, i, x - dx, y - dy, loads, bow, general)
-        add_column(row, a, difference(h, m, n))
+        by_bend = difference(h, m, n)
         by_own = plus(
             cross(turned(f, difference(h, up, low)), force),
             cross(turned(f, difference(h, mid, lowmid)), own),
         )
         for r in range(3):
+            row[OWN + 3 * r + a] += by_bend[r]
             row[TORQUE_BY_OWN + 3 * r + a] = by_own[r]
     rotation_slopes(chain, f, work, i, x, y, (force, torque, own), bow, row, general)
     if general:  # half a twist turns the frame that bends about its z
@@ -224,6 +214,7 @@ def push_slopes(chain, bend, work, i, tangent):
     f, wrench = bending_frame(chain, bend, work, i, general), floats(work.wrench + 48 * i)
     force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
     own, bow = local(f, scaled(scale, weight(chain, i))), bow_compliance(chain, work, i)
+    torque = local(f, torque)
     (place, frame), reach = end_at(work, i), cell(chain, i, LENGTH)
     unloaded = (NO_LOAD, NO_LOAD, NO_LOAD)
     _, end, _ = loaded_cell(chain, work, i, x, y, unloaded, 0.0, general)
@@ -233,12 +224,8 @@ def push_slopes(chain, bend, work, i, tangent):
         unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
         # moments and torque are squares of the force: a difference over any step is their slope
         up, low = local(f, plus(force, unit)), local(f, plus(force, scaled(-1.0, unit)))
-        m, end, middle = loaded_cell(
-            chain, work, i, x, y, (up, local(f, torque), own), bow, general
-        )
-        n, far, behind = loaded_cell(
-            chain, work, i, x, y, (low, local(f, torque), own), bow, general
-        )
+        m, end, middle = loaded_cell(chain, work, i, x, y, (up, torque, own), bow, general)
+        n, far, behind = loaded_cell(chain, work, i, x, y, (low, torque, own), bow, general)
         by = difference(1.0, m, n)
         row[BY_FORCE + r], row[BY_FORCE + 3 + r], row[BY_FORCE + 6 + r] = by
         after = plus(cross(end, up), cross(middle, own))
@@ -277,13 +264,6 @@ def fill_push(chain, work, i, place_up, frame_up, place_low, frame_low, per_step
     for r in range(3):
         row[PUSH_TORQUE + 6 * r + column] = per_step * (moment[r] - slack[r])
         row[PUSH_FORCE + 6 * r + column] = per_step * (force[r] - less[r])
-
-
-@inlined
-def add_column(row, a, slopes):
-    """Add the slopes (3,) of a cell's moment by its own bend (0, 1) or twist (2)."""
-    for r in range(3):
-        row[OWN + 3 * r + a] += slopes[r]
 
 
 @compiled
@@ -348,9 +328,8 @@ def rotation_slopes(chain, f, work, i, x, y, beyond, bow, row, general):
 def compression_slopes(chain, bend, work, i, total, tangent):
     """Fill the derivatives of the loads' moment and of the torque at the start by tensions."""
     h, section = DIFFERENCE_STEP * (1.0 + total), section_of(chain, i)
-    rate = stages.length(1.0, total + h, chain, section) - stages.length(
-        1.0, total - h, chain, section
-    )
+    rate = stages.length(1.0, total + h, chain, section)
+    rate -= stages.length(1.0, total - h, chain, section)
     rate /= 2.0 * h * stages.length(1.0, total, chain, section)
     if stages.push_acts(chain):
         pushed_part(chain, tangent)[GROWS] = rate
@@ -367,7 +346,7 @@ def compression_slopes(chain, bend, work, i, total, tangent):
     pull = plus(cross(turned(f, end), force), cross(turned(f, middle), own))
     for k in range(chain.k):
         if i < words(chain.tendon)[2 * k]:
-            slopes = floats(tangent + 8 * (SIZE + TENDON * k))
+            slopes = tendon_part(tangent, k)
             slopes[BY_TENSION], slopes[BY_TENSION + 1], slopes[BY_TENSION + 2] = scaled(rate, m)
             slopes[PULLS], slopes[PULLS + 1], slopes[PULLS + 2] = scaled(rate, pull)
 
@@ -452,7 +431,7 @@ def travel_slopes(here, beyond, h, chain, section):
 
 
 @inlined
-def slip_slopes(chain, work, past, at, section, slip, slides, remembers):
+def slip_slopes(chain, work, past, at, section, slides, remembers):
     """
     Direction of friction at an eyelet, and its derivatives by travel in the cell and beyond [1/m].
 
@@ -460,13 +439,11 @@ def slip_slopes(chain, work, past, at, section, slip, slides, remembers):
     ----------
     at : int
         Entry chain.k i + k of the arrays (n, k).
-    slip : float
-        Travel of the tendon in cell i [m].
     slides, remembers : bool
         Whether the travel beyond counts, and whether friction remembers.
 
     """
-    beyond = floats(work.beyond)[at] if slides else 0.0
+    slip, beyond = floats(work.travel)[at], floats(work.beyond)[at] if slides else 0.0
     by_slip, by_beyond = 1.0, 0.0
     if remembers:
         sign, last, h = floats(past.sign)[at], floats(past.travel)[at], TRAVEL_STEP * chain.radius
@@ -534,24 +511,20 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
     slope = stages.eyelet(1.0, up, chain, section) - stages.eyelet(1.0, low, chain, section)
     slope /= up - low
     log_passed = math.log(max(passed, TINY))
-    before = tangent_of(chain, tangent, i) + 8 * SIZE
-    behind = tangent_of(chain, tangent, i + 1) + 8 * SIZE
+    before, behind = tangent_of(chain, tangent, i), tangent_of(chain, tangent, i + 1)
     for k in range(chain.k):
         if i + 1 >= tendon[2 * k]:
             continue
         at = chain.k * i + k
-        travel = floats(work.travel)[at]
-        s, by_travel, by_beyond = slip_slopes(
-            chain, work, past, at, section, travel, slides, remembers
-        )
-        row, travels = floats(behind + 8 * TENDON * k), floats(before + 8 * (TENDON * k + TRAVELS))
+        s, by_travel, by_beyond = slip_slopes(chain, work, past, at, section, slides, remembers)
+        row, row_before = tendon_part(behind, k), tendon_part(before, k)
         ratio = math.exp(s * log_passed)
         t = floats(work.tensions)[at] * ratio
         by_turning, by_travel = slope * t * s / passed, t * log_passed * by_travel
         row[PASSED] = ratio
-        row[BEFORE] = by_turning * ox + by_travel * travels[0]
-        row[BEFORE + 1] = by_turning * oy + by_travel * travels[1]
-        row[BEFORE + 2] = by_travel * travels[2]
+        row[BEFORE] = by_turning * ox + by_travel * row_before[TRAVELS]
+        row[BEFORE + 1] = by_turning * oy + by_travel * row_before[TRAVELS + 1]
+        row[BEFORE + 2] = by_travel * row_before[TRAVELS + 2]
         row[WITHIN], row[WITHIN + 1] = by_turning * nx, by_turning * ny
         row[SLIDES] = t * log_passed * by_beyond
         lag = floats(work.lag)
@@ -576,7 +549,7 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
 
     """
     row, loads = floats(tangent), loaded(chain)
-    mx, my, total = tendon_moment(chain, work, i, moment_arms, scale)
+    mx, my, total = moment_on(chain, work, i, moment_arms, scale, loads)
     x, y, factor = floats(bend)[2 * i], floats(bend)[2 * i + 1], stages.offset_scale(1.0, chain, 0)
     if leans(chain):
         twist = twist_in(chain, bend, i)
@@ -584,8 +557,6 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
     elif follows_shape(chain):
         moment_slopes(chain, work, i, x, y, 0.0, factor, tangent, straight_tendon)
     if loads:
-        mx += floats(work.load)[2 * i]
-        my += floats(work.load)[2 * i + 1]
         chain.load_slopes(chain, bend, work, i, tangent, total)
     a, b, c, d, e, f = compliances(chain, past, i, mx, my, total)
     for q in range(9 if loads else 3):
@@ -602,7 +573,7 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
     for k in range(chain.k):
         if i >= tendon[2 * k]:
             continue
-        slopes, at = floats(tangent + 8 * (SIZE + TENDON * k)), 2 * (chain.k * i + k)
+        slopes, at = tendon_part(tangent, k), 2 * (chain.k * i + k)
         u, v = scale * lever[at], scale * lever[at + 1]
         slopes[TRAVELS], slopes[TRAVELS + 1] = u, v
         u, v = u + slopes[BY_TENSION], v + slopes[BY_TENSION + 1]
@@ -614,9 +585,7 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
 @compiled
 def fill_twist(chain, work, i, tangent, loads):
     """Fill the derivatives of the residual of the twist of cell i, from those of its moment."""
-    row, about = floats(tangent), tendons_about(chain, work, i)
-    if loads:
-        about += floats(work.torque)[i]
+    row, about = floats(tangent), axial_moment_on(chain, work, i, loads)
     h = DIFFERENCE_STEP * cell_stiffness(chain, i, section_of(chain, i))  # [N·m]
     yields = (twist_of(chain, i, about + h) - twist_of(chain, i, about - h)) / (2.0 * h)
     for b in range(3):
@@ -628,7 +597,7 @@ def fill_twist(chain, work, i, tangent, loads):
     row[OWN + 8] += 1.0
     for k in range(chain.k):
         if i < words(chain.tendon)[2 * k]:
-            slopes = floats(tangent + 8 * (SIZE + TENDON * k))
+            slopes = tendon_part(tangent, k)
             slopes[TRAVELS + 2] = floats(work.axial)[chain.k * i + k]
             slopes[BY_TENSION + 2] = -yields * (slopes[TRAVELS + 2] + slopes[BY_TENSION + 2])
 

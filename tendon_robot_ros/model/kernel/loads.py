@@ -12,42 +12,28 @@ Of an arm that bends in one plane, x and z, angles say the same as frames (`flat
 
 import math
 
-from . import stages
+from . import layout, stages
 from .cells import (
     ARC_SERIES_BELOW,
     arc_factor,
     axial_moment,
     bending_frame,
     end_of,
+    frame_at,
     gentle_arc,
     halved,
     is_general,
     turned_axes,
     twist_in,
 )
-from .layout import (
-    HINGE,
-    LENGTH,
-    LOAD_SCALE,
-    MASS,
-    MASS_X,
-    MASS_Y,
-    PLANAR_LOADS,
-    cell,
-    compiled,
-    contracted,
-    entry,
-    floats,
-    fused,
-    section_of,
-)
+from .layout import cell, compiled, contracted, entry, floats, fused, section_of
 
 
 @compiled
 def bows(chain):
     """Tell whether any cell is an arc."""
     for i in range(chain.n):
-        if not cell(chain, i, HINGE) > 0.5:
+        if not cell(chain, i, layout.HINGE) > 0.5:
             return True
     return False
 
@@ -55,9 +41,9 @@ def bows(chain):
 @compiled
 def bow_compliance(chain, work, i):
     """How far the end of cell i moves per force across it [m/N]; 0 for a hinge."""
-    if cell(chain, i, HINGE) > 0.5:
+    if cell(chain, i, layout.HINGE) > 0.5:
         return 0.0
-    reach = cell(chain, i, LENGTH)
+    reach = cell(chain, i, layout.LENGTH)
     return reach * reach * (floats(work.compliance)[i] * (1.0 / 12.0))
 
 
@@ -128,26 +114,15 @@ def weight(chain, i):
     """Force of the loads on cell i at its middle (x, y, z) [N]."""
     g = floats(chain.gravity)
     return stages.load(
-        0.0, 0.0, 0.0, cell(chain, i, MASS), g[0], g[1], g[2], chain, section_of(chain, i)
+        0.0, 0.0, 0.0, cell(chain, i, layout.MASS), g[0], g[1], g[2], chain, section_of(chain, i)
     )
 
 
 @compiled
-def force_at_tip(chain):
-    """Force at the tip (x, y, z) [N]."""
-    return at_tip(chain)[:3]
-
-
-@compiled
-def moment_at_tip(chain):
-    """Moment at the tip (x, y, z) [N·m]."""
-    return at_tip(chain)[3:]
-
-
-@compiled
 def at_tip(chain):
-    """Force [N] and moment [N·m] at the tip, (6,)."""
-    return stages.tip_load(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, chain, 0)
+    """Force (3,) [N] and moment (3,) [N·m] at the tip."""
+    wrench = stages.tip_load(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, chain, 0)
+    return wrench[:3], wrench[3:]
 
 
 @compiled
@@ -160,10 +135,10 @@ def push_at(chain, work, i, place, frame):
     """
     along, behind = 0.0, math.inf
     for j in range(i + 1):
-        along += cell(chain, j, LENGTH)
+        along += cell(chain, j, layout.LENGTH)
     if i + 1 < chain.n:
-        behind = cell(chain, i + 1, LENGTH)
-    before = cell(chain, i, LENGTH)
+        behind = cell(chain, i + 1, layout.LENGTH)
+    before = cell(chain, i, layout.LENGTH)
     held, apart = floats(work.held + 48 * i), (place[0], place[1], place[2] - along)
     friction = (held[0], held[1], held[2])
     moved = (apart[0] - held[3], apart[1] - held[4], apart[2] - held[5])
@@ -176,8 +151,8 @@ def push_at(chain, work, i, place, frame):
 @compiled
 def end_at(work, i):
     """Where cell i ends (3,) [m] before loads bow it, and its frame there (9,)."""
-    o, f = floats(work.origins + 24 * (i + 1)), floats(work.frames + 72 * (i + 1))
-    return (o[0], o[1], o[2]), (f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8])
+    o = floats(work.origins + 24 * (i + 1))
+    return (o[0], o[1], o[2]), frame_at(work.frames + 72 * (i + 1))
 
 
 @entry()
@@ -300,10 +275,12 @@ def cell_moment(chain, i, x, y, s, c, loads, reach, bow, general):
         Whether the weight may lie beside the axis.
 
     """
-    mx, my, middle, over = middle_moment(x, y, s, c, loads, reach, cell(chain, i, HINGE), bow)
+    mx, my, middle, over = middle_moment(
+        x, y, s, c, loads, reach, cell(chain, i, layout.HINGE), bow
+    )
     if not general:
         return mx, my, middle, over
-    beside = (cell(chain, i, MASS_X), cell(chain, i, MASS_Y))
+    beside = (cell(chain, i, layout.MASS_X), cell(chain, i, layout.MASS_Y))
     ox, oy, arm = beside_moment(x, y, s, c, loads[2], beside)
     return mx + ox, my + oy, plus(middle, arm), over
 
@@ -340,7 +317,7 @@ def bow_cells(chain, bend, work):
     """Move work.origins by how far cells bow; entry 0 of the frames need not be the base's."""
     general = is_general(chain)
     bends, half, origins = floats(bend), floats(work.half), floats(work.origins)
-    scale, beyond, shift = floats(work.settings)[LOAD_SCALE], force_at_tip(chain), NO_LOAD
+    scale, beyond, shift = floats(work.settings)[layout.LOAD_SCALE], at_tip(chain)[0], NO_LOAD
     if stages.push_acts(chain):
         chain.pushes(chain, bend, work)
     for i in range(chain.n):
@@ -373,8 +350,8 @@ def load_moments(chain, bend, work):
     general = is_general(chain)
     bends, moments, origins = floats(bend), floats(work.load), floats(work.origins)
     half, lengths = floats(work.half), floats(work.lengths)
-    scale = floats(work.settings)[LOAD_SCALE]
-    force, torque = scaled(scale, force_at_tip(chain)), scaled(scale, moment_at_tip(chain))
+    scale, (force, torque) = floats(work.settings)[layout.LOAD_SCALE], at_tip(chain)
+    force, torque = scaled(scale, force), scaled(scale, torque)
     if stages.push_acts(chain):
         chain.pushes(chain, bend, work)
     for i in range(chain.n - 1, -1, -1):
@@ -403,7 +380,7 @@ def load_moments(chain, bend, work):
 @compiled
 def lies_flat(chain, bend, work):
     """Tell whether bends and loads lie in that plane, and loads do no more than bend."""
-    if floats(work.settings)[PLANAR_LOADS] == 0.0:
+    if floats(work.settings)[layout.PLANAR_LOADS] == 0.0:
         return False
     for i in range(chain.n):
         if floats(bend)[2 * i + 1] != 0.0:
@@ -467,18 +444,16 @@ def flat_moments(chain, bend, work):
     if bows(chain):
         fill_factors(chain, bends, half, work.wrench)
     factors, n = floats(work.wrench), chain.n
-    scale, tip = floats(work.settings)[LOAD_SCALE], force_at_tip(chain)
-    torque = scale * moment_at_tip(chain)[1]
-    total = (scale * tip[0], 0.0, scale * tip[2])
+    scale, (tip, about) = floats(work.settings)[layout.LOAD_SCALE], at_tip(chain)
+    torque, total = scale * about[1], (scale * tip[0], 0.0, scale * tip[2])
     for i in range(n - 1, -1, -1):
         x, s, c, reach = bends[2 * i], half[2 * i], half[2 * i + 1], floats(work.lengths)[i]
-        own, hinge = weight(chain, i), cell(chain, i, HINGE)
+        own, hinge = weight(chain, i), cell(chain, i, layout.HINGE)
         own = (scale * own[0], 0.0, scale * own[2])
         local_own = across_and_along(moments[2 * i], moments[2 * i + 1], own)
         force = across_and_along(moments[2 * i], moments[2 * i + 1], total)
-        arc, bow = (factors[i], factors[n + i], factors[2 * n + i], factors[3 * n + i]), 0.0
-        if not hinge > 0.5:
-            bow = bow_compliance(chain, work, i)
+        arc = (factors[i], factors[n + i], factors[2 * n + i], factors[3 * n + i])
+        bow = bow_compliance(chain, work, i)
         moment, middle, over = flat_moment(x, s, c, arc, force, local_own, reach, hinge, bow)
         moments[2 * i], moments[2 * i + 1] = torque + moment, 0.0
         across, along = end_of(x * x, s, c, reach, hinge)

@@ -48,7 +48,7 @@ from .layout import (
     work_from,
     work_size,
 )
-from .loads import bows, end_at, force_at_tip, loaded, moment_at_tip, push_at, weight
+from .loads import at_tip, bows, end_at, loaded, push_at, weight
 from .sweep import is_implicit, slip_direction
 
 
@@ -62,8 +62,8 @@ def work_in(chain, start):
     settings[SHAPED] = settings[EVERY_METHOD] = settings[STABLE] = 1.0
     for r in range(3):
         floats(work.frames)[4 * r] = 1.0
-    at, about = force_at_tip(chain), moment_at_tip(chain)
-    flat = at[1] == 0.0 and about[0] == 0.0 and about[2] == 0.0
+    force, about = at_tip(chain)
+    flat = force[1] == 0.0 and about[0] == 0.0 and about[2] == 0.0
     flat = flat and not (is_general(chain) or stages.push_acts(chain))
     for i in range(chain.n):
         floats(work.lengths)[i] = cell(chain, i, LENGTH)
@@ -227,7 +227,7 @@ def results_at(chain, block, count, b, work):
     Return the addresses of posture b of a block (see `model.form`).
 
     Returns inputs, bends, pulls of the tendons, pulls of the inputs, the last change, and scratch
-    whose tensions, frames and origins are those of the block.
+    whose tensions, and scratch whose frames and origins, too, are those of the block.
     """
     n, k, m = chain.n, chain.k, chain.m
     bends = block + 8 * m * count
@@ -241,7 +241,8 @@ def results_at(chain, block, count, b, work):
         work, tensions + 8 * n * k * b, frames + 72 * (n * b - 1), origins + 24 * (n * b - 1)
     )
     row = (block + 8 * m * b, bends + 24 * n * b, pulls + 8 * k * b, means + 8 * m * b)
-    return row, changes + 8 * b, output
+    solving = with_results(work, output.tensions, work.frames, work.origins)
+    return row, changes + 8 * b, solving, output
 
 
 @entry(FLOAT(WORD, types.float64[::1], WORD, WORD, WORD, WORD, WORD, WORD, WORD))
@@ -279,8 +280,7 @@ def postures(robot, block, count, begin, end, past, scratch, carry, solves):
     then = memory_in(chain, past if past != 0 else behind)
     worst = 0.0
     for b in range(begin, end):
-        row, change_at, output = results_at(chain, start, count, b, work)
-        solving = with_results(work, output.tensions, work.frames, work.origins)
+        row, change_at, solving, output = results_at(chain, start, count, b, work)
         change = 0.0
         if solves != 0:
             change = posture(chain, row[0], solving, then, now, row[1], before)
@@ -321,8 +321,7 @@ def variants_shown(robot, block, count, past, scratch, acting, starts, places, v
     for v in range(acting.shape[0]):
         exchange(chain, acting, starts, places, values, v)
         for b in range(v * each, (v + 1) * each):
-            row, _, output = results_at(chain, address(block), count, b, work)
-            solving = with_results(work, output.tensions, work.frames, work.origins)
+            row, _, solving, output = results_at(chain, address(block), count, b, work)
             chain.residual(chain, row[0], row[1], solving, then, rest)
             place(chain, row[1], output)
             wire_pulls(chain, row[1], output, row[2], row[3])

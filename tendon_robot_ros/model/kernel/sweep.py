@@ -12,7 +12,7 @@ which converges faster, but ties every cell to all before it.)
 
 import math
 
-from . import stages
+from . import layout, stages
 from .cells import (
     bend_cell,
     bend_linear,
@@ -24,28 +24,15 @@ from .cells import (
     twist_of,
 )
 from .geometry import scale_lengths, tendon_travel, travel_beyond
-from .layout import (
-    SHAPED,
-    SMOOTHING,
-    YES,
-    compiled,
-    copy,
-    entry,
-    floats,
-    fused,
-    inlined,
-    section_of,
-    words,
-)
+from .layout import compiled, copy, entry, floats, fused, inlined, section_of, words
 from .loads import lies_flat, loaded
 
 
 @compiled
 def is_implicit(chain):
     """Tell whether an effect acts that needs the shape: one sweep is then no equilibrium."""
-    shaped = (
-        stages.wrap_acts(chain) or stages.friction_travel_acts(chain) or stages.memory_acts(chain)
-    )
+    shaped = stages.wrap_acts(chain) or stages.friction_travel_acts(chain)
+    shaped = shaped or stages.memory_acts(chain)
     return follows_shape(chain) or loaded(chain) or (stages.eyelet_acts(chain) and shaped)
 
 
@@ -64,7 +51,7 @@ def smooth_sign(travel, slip_rate):
 @inlined
 def slip_rate_in(work):
     """One over the smoothing length [1/m]."""
-    return 1.0 / floats(work.settings)[SMOOTHING]
+    return 1.0 / floats(work.settings)[layout.SMOOTHING]
 
 
 @inlined
@@ -275,13 +262,13 @@ def pass_eyelet(chain, work, past, i, bx, by, passed, slip_rate, moment_arms, sc
 
 
 @compiled
-def tendons_about(chain, work, i):
-    """Moment [N·m] of the tendons on cell i about its own axis."""
+def axial_moment_on(chain, work, i, loads):
+    """Moment [N·m] of the tendons and, with `loads`, of these on cell i about its own axis."""
     about, at = 0.0, chain.k * i
     for k in range(chain.k):
         if i < words(chain.tendon)[2 * k]:
             about += floats(work.tensions)[at + k] * floats(work.axial)[at + k]
-    return about
+    return about + floats(work.torque)[i] if loads else about
 
 
 @compiled
@@ -334,24 +321,27 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
         half[2 * i], half[2 * i + 1] = s, c
     if stages.torsion_acts(chain):
         for i in range(chain.n):  # as if no effect needed the shape no tendon leans
-            about = tendons_about(chain, work, i) if shaped else 0.0
-            if loads:
-                about += floats(work.torque)[i]
+            about = axial_moment_on(chain, work, i, loads) if shaped else 0.0
             floats(out)[2 * chain.n + i] = twist_of(chain, i, about)
 
 
 @entry()
 def step(chain, inputs, guess, work, past, out):
     """One sweep with everything that the guess decides."""
-    shaped = floats(work.settings)[SHAPED] != 0.0
+    shaped = floats(work.settings)[layout.SHAPED] != 0.0
     if shaped and is_implicit(chain):
         chain.prepare(chain, inputs, guess, work, past, out)
     sweep(chain, inputs, guess, work, past, out, shaped)
 
 
 @compiled
-def tendon_moment(chain, work, i, moment_arms, scale):
-    """Moment (x, y) [N·m] of the tendons on cell i and the sum of their tensions [N]."""
+def moment_on(chain, work, i, moment_arms, scale, loads):
+    """
+    Moment (x, y) [N·m] on cell i and the sum of the tensions [N] in it.
+
+    Of the tendons, whose moment arms [m] at an address count `scale` times, and with `loads` of
+    these.
+    """
     tensions, lever, tendon = floats(work.tensions), floats(moment_arms), words(chain.tendon)
     mx, my, total = 0.0, 0.0, 0.0
     for k in range(chain.k):
@@ -361,7 +351,11 @@ def tendon_moment(chain, work, i, moment_arms, scale):
             mx += t * lever[2 * at]
             my += t * lever[2 * at + 1]
             total += t
-    return scale * mx, scale * my, total
+    mx, my = scale * mx, scale * my
+    if loads:
+        mx += floats(work.load)[2 * i]
+        my += floats(work.load)[2 * i + 1]
+    return mx, my, total
 
 
 @compiled
@@ -398,10 +392,10 @@ def balance(chain, inputs, bend, work, past, out):
 
     Travel and moment arms, which work holds, are those of the state.
     """
-    bends, load, f, rate = floats(bend), floats(work.load), floats(out), slip_rate_in(work)
+    bends, f, rate = floats(bend), floats(out), slip_rate_in(work)
     moment_arms, scale = moment_arms_of(chain, work)
-    friction, _, wraps, slides, remembers = active_stages(chain, YES)
-    flags = (friction, YES, wraps, slides, remembers)  # travel is that of these bends
+    friction, _, wraps, slides, remembers = active_stages(chain, layout.YES)
+    flags = (friction, layout.YES, wraps, slides, remembers)  # travel is that of these bends
     base_tensions(chain, inputs, work, moment_arms)
     for i in range(chain.n - 1):
         x, y = bends[2 * i], bends[2 * i + 1]
@@ -413,18 +407,13 @@ def balance(chain, inputs, bend, work, past, out):
         scale_lengths(chain, work)
         place_loads(chain, bend, work, past)
     for i in range(chain.n):
-        mx, my, total = tendon_moment(chain, work, i, moment_arms, scale)
-        if loads:
-            mx += load[2 * i]
-            my += load[2 * i + 1]
+        mx, my, total = moment_on(chain, work, i, moment_arms, scale, loads)
         bx, by = bend_cell(chain, past, i, mx, my, total)
         f[2 * i] = bends[2 * i] - bx
         f[2 * i + 1] = bends[2 * i + 1] - by
     if stages.torsion_acts(chain):
         for j in range(chain.n):
-            about = tendons_about(chain, work, j)
-            if loads:
-                about += floats(work.torque)[j]
+            about = axial_moment_on(chain, work, j, loads)
             f[2 * chain.n + j] = bends[2 * chain.n + j] - twist_of(chain, j, about)
 
 
@@ -441,7 +430,7 @@ def prepare(chain, inputs, guess, work, past, out):
     if loaded(chain) and stages.length_acts(chain):  # lengths follow the tensions there
         chain.residual(chain, inputs, guess, work, past, out)
         return
-    friction, straight, wraps, slides, _ = active_stages(chain, YES)
+    friction, straight, wraps, slides, _ = active_stages(chain, layout.YES)
     slides = friction and slides
     if straight or wraps or loaded(chain):
         half_turns(chain, guess, work)
