@@ -12,7 +12,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -27,6 +26,7 @@ from ..common.processes import child_environment
 from ..effects import STAGES, Catalogue, Parameter, load_catalogue
 from ..robot import Robot
 from ..robot.description import helix_angles, tendon_offsets
+from ..robot.estimates import stiffnesses
 
 Floats = npt.NDArray[np.float64]
 # [rad] largest change of a bend at which an equilibrium has converged, so that the tip of an arm
@@ -42,26 +42,29 @@ KERNEL = Path(__file__).parent / 'kernel'
 _COMPOSED: dict[str, ModuleType] = {}
 
 
-@dataclass(frozen=True)
 class Layout:
-    """Where each effect of a catalogue lives in the kernel's flat arrays."""
+    """
+    Where each effect of a catalogue lives in the kernel's flat arrays.
 
-    rows: dict[tuple[str, str], int]  # (effect, parameter) -> row of Chain.values
-    index: dict[str, int]  # effect -> entry of Chain.on
+    Attributes
+    ----------
+    rows : dict
+        (effect, parameter) -> row of Chain.values.
+    index : dict
+        effect -> entry of Chain.on.
 
+    """
 
-def layout(catalogue: Catalogue) -> Layout:
-    """Give every parameter and effect of a catalogue its number."""
-    names = [(effect.name, p.name) for effect in catalogue for p in effect.parameters]
-    return Layout(
-        {name: row for row, name in enumerate(names)},
-        {effect.name: index for index, effect in enumerate(catalogue)},
-    )
+    def __init__(self, catalogue: Catalogue) -> None:
+        """Give every parameter and effect of a catalogue its number."""
+        names = [(effect.name, p.name) for effect in catalogue for p in effect.parameters]
+        self.rows = {name: row for row, name in enumerate(names)}
+        self.index = {effect.name: index for index, effect in enumerate(catalogue)}
 
 
 def stages_source(catalogue: Catalogue) -> str:
     """Write the module in which each stage calls its laws one after the other."""
-    where = layout(catalogue)
+    where = Layout(catalogue)
     lines = [
         '"""Stages of a catalogue of effects; generated, do not edit."""',
         '',
@@ -237,8 +240,8 @@ class KernelArrays:
     def __init__(self, robot: Robot, catalogue: Catalogue) -> None:
         """Check the effects against the catalogue and fill the arrays."""
         self.robot, self.catalogue = robot, catalogue
-        self.kernel = compose(catalogue)
-        self.layout = layout(catalogue)
+        self.part = compose(catalogue)  # returns a module of the composed kernel
+        self.layout = Layout(catalogue)
         self.cells = cell_rows(robot)
         self.offset = tendon_offsets(robot)
         self.helix = helix_angles(robot)
@@ -253,14 +256,12 @@ class KernelArrays:
         )
         self.gravity = np.array(robot.gravity or (0.0, 0.0, 0.0))
         wide = max(len(robot.sections), len(robot.tendons))
-        self.values = np.empty((len(self.layout.rows), wide))
+        neutral = [[p.neutral] * wide for effect in catalogue for p in effect.parameters]
+        self.values = np.array(neutral, dtype=float).reshape(-1, wide)
         self.on = np.zeros(len(self.layout.index), dtype=np.uint8)
         self._linked = set[bytes]()  # the effects that acted when `link` was called
         self.twisting = np.zeros_like(self.on)  # which effects let cells twist
         self.twisting[[self.layout.index[e.name] for e in catalogue if e.stage == 'torsion']] = 1
-        for effect in catalogue:
-            for parameter in effect.parameters:
-                self.values[self.layout.rows[effect.name, parameter.name]] = parameter.neutral
         for name, values in robot.effects.items():
             self.read(name, values)
         linked = bool(self._acting() & LINKING_STAGES) or bool(self.helix.any())
@@ -289,10 +290,6 @@ class KernelArrays:
                 lay.address_of(self.part('shape').postures)
         if linked:
             self.link()
-
-    def part(self, name: str) -> ModuleType:
-        """Return a module of the composed kernel."""
-        return self.kernel(name)
 
     def columns(self, parameter: Parameter) -> tuple[str, ...]:
         """Return whose values the columns of a parameter are: sections, tendons, or nobody's."""
@@ -416,19 +413,13 @@ class KernelArrays:
 
 def cell_rows(robot: Robot) -> Floats:
     """Return a row (n, 8) per cell, in the columns of the kernel (`CELL_COLUMNS`)."""
-    rows: list[list[float]] = []
-    for index, section in enumerate(robot.sections):
-        for i in range(section.cells):
-            present = sum(len(rows) < cells for cells in robot.tendon_cells)
-            rows.append(
-                [
-                    section.cell_length,
-                    section.bending_stiffness[i],
-                    section.mass_profile[i] * section.cell_length,
-                    float(section.bends_as == 'hinge'),
-                    float(index),
-                    float(present),
-                    *(section.mass_offset[i] if section.mass_offset else (0.0, 0.0)),
-                ]
-            )
-    return np.array(rows)
+    sections = [(i, s) for i, s in enumerate(robot.sections) for _ in range(s.cells)]
+    profile = np.concatenate([s.mass_profile for s in robot.sections])
+    rows = np.empty((robot.cells, 8))
+    rows[:, 0], rows[:, 1] = robot.cell_lengths, stiffnesses(robot)
+    rows[:, 2] = profile * robot.cell_lengths
+    rows[:, 3] = [section.bends_as == 'hinge' for _, section in sections]
+    rows[:, 4] = [index for index, _ in sections]
+    rows[:, 5] = [sum(i < end for end in robot.tendon_cells) for i in range(robot.cells)]
+    rows[:, 6:] = [xy for s in robot.sections for xy in s.mass_offset or [(0.0, 0.0)] * s.cells]
+    return rows

@@ -370,19 +370,6 @@ class Variants:
             np.concatenate([np.zeros(0), *values]),
         )
 
-    def of_moves(self, begin: int, end: int) -> Variants:
-        """Return those of some moves."""
-        starts = self.starts[2 * begin : 2 * end + 1]
-        entries = slice(starts[0], starts[-1])
-        sides = slice(2 * begin, 2 * end)
-        return Variants(
-            self.inputs[sides],
-            self.acting[sides],
-            starts - starts[0],
-            self.places[entries],
-            self.values[entries],
-        )
-
     @property
     def changes(self) -> tuple[npt.NDArray[Any], ...]:
         """What the kernel exchanges."""
@@ -398,15 +385,12 @@ class Variants:
 
     def shown(self, model: ForwardModel, states: Floats, past: Floats) -> ShapeBatch:
         """Return the shapes (2q b) of states (2q, b, 3n) [rad], without solving."""
-        count, form = self.inputs.shape[0] * self.inputs.shape[1], model.form
-        block = np.empty(count * form.size)
-        fields = form.views(block, count)
-        fields.pop('change')
-        fields['inputs'][:] = self.inputs.reshape(count, -1)
-        fields['state'][:] = states.reshape(count, -1)
+        count = self.inputs.shape[0] * self.inputs.shape[1]
+        inputs, states = self.inputs.reshape(count, -1), states.reshape(count, -1)
+        block, batch, _ = model.form.filled(inputs, states)
         fixed = model.arrays.address, block, count, past, model.scratch
         model.arrays.part('shape').variants_shown(*fixed, *self.changes)
-        return ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge, slopes=None)
+        return batch
 
 
 def follow(
@@ -435,22 +419,22 @@ def follow(
     past = arrays.fresh_memory() if memory is None else memory
     sides = np.array([(move.up, move.down) for move in moves]).reshape(-1, 2, b)
     widths = sides[:, 0] - sides[:, 1]
-    variants = Variants.of(model, inputs, moves)
+    at_once = max(SHOWN_AT_ONCE // (2 * b), 1)
+    places = [slice(begin, begin + at_once) for begin in range(0, len(moves), at_once)]
+    parts = [Variants.of(model, inputs, moves[some]) for some in places]
     before = arrays.on.copy()
     try:  # cells twist for all if they do for one, else their twist would follow nothing
-        arrays.on[:] = variants.acting.max(axis=0)
+        arrays.on[:] = np.concatenate([part.acting for part in parts]).max(axis=0)
         arrays.link()
         arrays.on[:] = before | (arrays.on & arrays.twisting)
-        off = variants.residuals(model, states, past)
+        off = np.concatenate([part.residuals(model, states, past) for part in parts])
         rates = (off[0::2] - off[1::2]) / widths[:, :, None]
         state_slopes = responses(model, inputs, states, past, rates.swapaxes(0, 1)).swapaxes(0, 1)
     finally:
         arrays.on[:] = before
-    slopes, at_once = list[Floats](), max(SHOWN_AT_ONCE // (2 * b), 1)
-    for begin in range(0, len(moves), at_once):
-        some = slice(begin, begin + at_once)
+    slopes = list[Floats]()
+    for some, part in zip(places, parts, strict=True):
         moved = states + sides[some, :, :, None] * state_slopes[some, None]
-        part = variants.of_moves(begin, begin + len(moved))
         ends = output(part.shown(model, moved, past))
         ends = ends.reshape(-1, 2, b, *ends.shape[1:])
         slopes.append((ends[:, 0] - ends[:, 1]) / _like(widths[some], ends[:, 0]))
@@ -522,16 +506,12 @@ def shown(
 
     After the memory of one posture, or with `carry` one after the other.
     """
-    b, form = len(inputs), model.form
-    block = np.zeros(b * form.size)
-    fields = form.views(block, b)
-    fields.pop('change')
-    fields['inputs'][:], fields['state'][:] = inputs, states
+    b, (block, batch, _) = len(inputs), model.form.filled(inputs, states)
     past = model.arrays.fresh_memory() if memory is None else memory
     model.arrays.part('shape').postures(
         model.arrays.address, block, b, 0, b, past.ctypes.data, model.scratch, int(carry), 0
     )
-    return ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge, slopes=None)
+    return batch
 
 
 FORCES = ('tip_load', 'force_x'), ('tip_load', 'force_y'), ('tip_load', 'force_z')

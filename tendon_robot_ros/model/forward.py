@@ -254,15 +254,11 @@ class ForwardModel:
         A change above `TOLERANCE` marks a posture without equilibrium. With `carry` each posture
         follows the one before and updates `memory`; other large batches use two threads.
         """
-        b, form = len(inputs), self.form
-        block = np.empty(b * form.size)
-        fields = form.views(block, b)
-        changes = fields.pop('change')
-        fields['inputs'][:] = inputs
-        fields['state'][:] = 0.0
+        b, states = len(inputs), np.zeros((len(inputs), 3 * self.robot.cells))
         if guesses is not None:
             flat = guesses.reshape(b, -1)
-            fields['state'][:, : flat.shape[1]] = flat
+            states[:, : flat.shape[1]] = flat
+        block, batch, changes = self.form.filled(inputs, states)
         past = self.arrays.fresh_memory() if memory is None else memory
         where, remembered = self.arrays.address, past.ctypes.data
 
@@ -275,7 +271,6 @@ class ForwardModel:
             edges = np.linspace(0, b, THREADS + 1).astype(int).tolist()
             with ThreadPoolExecutor(THREADS) as pool:
                 list(pool.map(part, edges[:-1], edges[1:]))
-        batch = ShapeBatch(**fields, cell_length=form.cell_length, hinge=form.hinge, slopes=None)
         return batch, changes
 
     @cached_property

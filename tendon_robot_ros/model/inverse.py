@@ -111,7 +111,7 @@ def reach(
     # beyond reach the nearest tip is the target: no tension reaches the requested one
     held = task if solution.status == 'reached' else task.held_at(solution.shape)
     preferences = task.preferences or Preferences()
-    balance = Balance(held, preferences, task.keep_out, task.limits, present)
+    balance = Balance(held, preferences, task.keep_out, present)
     return _balanced(task, balance, solution, give_up)
 
 

@@ -23,6 +23,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ..common.arrays import RESOLUTION
+from ..common.rotations import turned_in_plane
 from ..common.words import PROGRAM
 from ..effects.effect import Effect
 from .model import Model
@@ -230,9 +231,9 @@ def _add_hinge(
     for k, tendon in enumerate(robot.tendons):
         if hinge.cell >= robot.tendon_cells[k]:
             continue
-        x, y = (scale * laws.arrays.offset[hinge.cell, k]).tolist()
+        offset = scale * laws.arrays.offset[hinge.cell, k]
         if not laws.straight:
-            for name, arm in (('x', x), ('y', y)):
+            for name, arm in zip('xy', offset.tolist(), strict=True):
                 joint = f'joint_{number + 1}_{name}'
                 ElementTree.SubElement(routes[k], 'joint', joint=joint, coef=f'{-arm:.9g}')
             continue
@@ -242,10 +243,7 @@ def _add_hinge(
             ends, (hinge.part == 0, hinge.part == hinge.parts - 1), strict=True
         ):
             if wanted:
-                at = (
-                    x * math.cos(turn) - y * math.sin(turn),
-                    x * math.sin(turn) + y * math.cos(turn),
-                )
+                at = turned_in_plane(offset, np.array(turn))
                 site = f'{tendon.name} {number + 1}{"+" if where is body else "-"}'
                 _site(where, site, (*at, up))
                 ElementTree.SubElement(routes[k], 'site', site=site)

@@ -166,7 +166,10 @@ def _met(
         inputs[:], states[:] = start
     gaps, high = np.empty(count), np.ascontiguousarray(model.limits[:, 1])
     arrays = inputs, targets, states, past, slopes.pulls, slopes.states, gaps
-    settings = model.scratch, high, _compliance(model), int(carry), ITERATIONS_MAX
+    # wire pull per tension [m/N] of the tendon that bends the arm most, in PCCA
+    squares, stiffness = (model.arrays.offset**2).sum(axis=2), model.arrays.cells[:, 1:2]
+    stretch = float((squares / stiffness).sum(axis=0).max())
+    settings = model.scratch, high, stretch, int(carry), ITERATIONS_MAX
     met = part.meet_pulls(model.arrays.address, *arrays, *settings)
     if met == count:
         return inputs, states
@@ -187,12 +190,6 @@ def unknown_slopes(model: ForwardModel, count: int) -> WireSlopes:
     """Return the slopes of so many postures of which nothing is known."""
     m = len(model.inputs)
     return WireSlopes(np.full((count, m, m), np.nan), np.zeros((count, m, model.arrays.unknowns)))
-
-
-def _compliance(model: ForwardModel) -> float:
-    """Wire pull per tension [m/N] of the tendon that bends the arm most, in PCCA."""
-    cells, offset = model.arrays.cells, model.arrays.offset
-    return float(((offset**2).sum(axis=2) / cells[:, 1:2]).sum(axis=0).max())
 
 
 def aim_by_pulls(task: TipTask, aim: Aim, inputs: Floats, bend: Floats) -> tuple[float, Floats]:

@@ -73,7 +73,6 @@ class Balance:
     task: TipTask
     preferences: Preferences
     keep_out: KeepOut = field(default_factory=KeepOut)
-    limits: Floats | None = None  # (m, 2) [N], default: the model's
     present: Floats | None = None  # (m,) [N] tensions of the arm now, for smooth commands
     low: Floats = field(init=False)
     range: Floats = field(init=False)
@@ -82,7 +81,7 @@ class Balance:
 
     def __post_init__(self) -> None:
         """Scale tensions by their range."""
-        limits = self.task.model.limits if self.limits is None else self.limits
+        limits = self.task.limits
         self.low, self.range = limits[:, 0], limits[:, 1] - limits[:, 0]
         self.weights = np.repeat(self.task.target[6:], 3)
         self.tip_weight = TIP_WEIGHT / self.task.model.robot.length**2

@@ -68,28 +68,27 @@ class ResultLayout:
         places = zip(pairwise(ends), self.fields.items(), strict=True)
         return {name: (slice(*ends), shape) for ends, (name, shape) in places}
 
-    def views(self, block: Floats, count: int) -> dict[str, Floats]:
-        """Return the fields (count, ...) of a block of `count` postures."""
-        return {
+    def filled(self, inputs: Floats, states: Floats) -> tuple[Floats, ShapeBatch, Floats]:
+        """
+        Return a block that begins with inputs (b, m) [N] and states (b, 3n) [rad].
+
+        Behind it what the kernel makes of it: the shapes, and the last changes (b,) [rad].
+        """
+        count = len(inputs)
+        block = np.empty(count * self.size)
+        fields: dict[str, Any] = {
             name: block[count * where.start : count * where.stop].reshape(count, *shape)
             for name, (where, shape) in self.one.items()
         }
+        fields['inputs'][:], fields['state'][:] = inputs, states
+        changes: Floats = fields.pop('change')
+        batch = ShapeBatch(**fields, cell_length=self.cell_length, hinge=self.hinge)
+        return block, batch, changes
 
 
 # [1] of the arm's extent, from the x-z plane: an arm farther off is drawn in space, because a
 # picture of 500 pixels would hide more than five of them
 FLATNESS = 0.01
-
-
-def place_markers(shapes: ShapeBatch, arc_length: Floats, offset: Floats) -> Floats:
-    """Positions (b, j, 3) [m] of markers; see `ShapeBatch.markers`."""
-    cells, fraction, at_end = marker_cells(shapes.cell_length.tobytes(), arc_length.tobytes())
-    if at_end and not offset.any():
-        return shapes.positions[:, cells]
-    frames, points = shapes.frames[:, cells], shapes.positions[:, cells]
-    if not at_end:
-        frames, points = frames_inside(shapes, cells, fraction, bool(offset.any()))
-    return np.asarray(points + np.einsum('bjrc,jc->bjr', frames, offset))
 
 
 @lru_cache(maxsize=64)
@@ -259,7 +258,14 @@ class ShapeBatch(Bent):
             A marker lies beyond the tip.
 
         """
-        return place_markers(self, np.asarray(arc_length, float), np.asarray(offset, float))
+        along, offset = np.asarray(arc_length, float), np.asarray(offset, float)
+        cells, fraction, at_end = marker_cells(self.cell_length.tobytes(), along.tobytes())
+        if at_end and not offset.any():
+            return self.positions[:, cells]
+        frames, points = self.frames[:, cells], self.positions[:, cells]
+        if not at_end:
+            frames, points = frames_inside(self, cells, fraction, bool(offset.any()))
+        return np.asarray(points + np.einsum('bjrc,jc->bjr', frames, offset))
 
 
 class Shape(Bent, TextResult):
