@@ -59,14 +59,12 @@ def bend_rates(robot: Robot) -> Floats:
     The sum over its cells of offset / stiffness: no friction, small bends (PCCA).
     """
     per_newton = tendon_offsets(robot) / stiffnesses(robot)[:, None, None]  # (n, k, 2)
-    edges = np.concatenate([[0], np.cumsum([section.cells for section in robot.sections])])
-    rates = np.zeros((len(robot.inputs), 2))
-    for j, (last, members) in enumerate(
-        zip(end_sections(robot), robot.input_tendons, strict=True)
-    ):
-        cells = slice(edges[last], edges[last + 1])
-        rates[j] = per_newton[cells][:, list(members)].sum(axis=(0, 1))
-    return rates
+    sections = np.repeat(np.arange(len(robot.sections)), [s.cells for s in robot.sections])
+    rates = [
+        per_newton[sections == last][:, list(members)].sum(axis=(0, 1))
+        for last, members in zip(end_sections(robot), robot.input_tendons, strict=True)
+    ]
+    return np.array(rates)
 
 
 def mass(robot: Robot) -> float:
