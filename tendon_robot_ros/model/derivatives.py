@@ -46,18 +46,6 @@ def tensions_by_pulls(tensions: Floats, slopes: Floats) -> Floats:
     return np.where(both, inverse, 0.0)  # exactly, else rounding would pull slack wires taut
 
 
-def tip_jacobian(model: ForwardModel, tensions: Floats) -> Floats:
-    """Return d (tip position, tip direction) / d tensions, (6, m) [m/N], [1/N], from straight."""
-    if model.friction_remembers:
-
-        def tip(batch: ShapeBatch) -> Floats:
-            return np.concatenate([batch.tip_position, batch.tip_direction], axis=1)
-
-        tips: Floats = derivatives(model, model.shapes(tensions[None]), model.inputs, tip)[0]
-        return tips
-    return tip_slopes(model, model.shape(tensions), model.arrays.fresh_memory())
-
-
 def tip_slopes(model: ForwardModel, shape: Shape, past: Floats) -> Floats:
     """
     Return d (tip position, tip direction) / d tensions, (6, m) [m/N], [1/N], at an equilibrium.

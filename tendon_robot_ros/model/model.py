@@ -12,7 +12,7 @@ from ..common.arrays import Floats
 from ..common.errors import refusal, whole
 from ..robot.inputs import TensionsLike
 from ..robot.keep_out import KeepOut
-from .derivatives import Column, Output, TipStiffness, derivatives, tip_jacobian, tip_stiffness
+from .derivatives import Column, Output, TipStiffness, derivatives, tip_slopes, tip_stiffness
 from .forward import ForwardModel
 from .inverse import reach
 from .pulls import pull_shape
@@ -61,8 +61,16 @@ class Model(ForwardModel):
         return self.measured(shape.markers(along, beside))
 
     def jacobian(self, tensions: TensionsLike) -> Floats:
-        """Return d (tip position [m], tip direction) / d tensions [N], (6, m)."""
-        return tip_jacobian(self, self.tensions(tensions))
+        """Return d (tip position [m], tip direction) / d tensions [N], (6, m), from straight."""
+        inputs = self.tensions(tensions)
+        if not self.friction_remembers:
+            return tip_slopes(self, self.shape(inputs), self.arrays.fresh_memory())
+
+        def tip(batch: ShapeBatch) -> Floats:
+            return np.concatenate([batch.tip_position, batch.tip_direction], axis=1)
+
+        slopes: Floats = derivatives(self, self.shapes(inputs[None]), self.inputs, tip)[0]
+        return slopes
 
     def derivatives(
         self, shapes: ShapeBatch, columns: Sequence[Column], output: Output | None = None
