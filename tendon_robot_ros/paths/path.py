@@ -93,10 +93,11 @@ def tip_path(
     if len(positions) == 1:
         return TipPath(np.zeros(1), positions, directions, np.zeros(1, dtype=np.int64))
     # samples of each piece, and their fraction along it, 0 to 1
+    lengths, turns = pieces(positions, directions)
     parts = [
         np.diff(when) / SAMPLE_PERIOD_S,
-        np.linalg.norm(np.diff(positions, axis=0), axis=1) / POSITION_TOLERANCE_M,
-        np.nan_to_num(angle_between(directions[:-1], directions[1:])) / DIRECTION_TOLERANCE_RAD,
+        lengths / POSITION_TOLERANCE_M,
+        turns / DIRECTION_TOLERANCE_RAD,
         np.ones(len(positions) - 1),
     ]
     counts = np.ceil(np.max(parts, axis=0) - 1e-9).astype(np.int64)
@@ -113,6 +114,12 @@ def tip_path(
     if curve is None:
         curve = positions[piece] + fraction[:, None] * (positions[piece + 1] - positions[piece])
     return TipPath(sampled, curve, interpolated_directions(directions, piece, fraction), rows)
+
+
+def pieces(positions: Floats, directions: Floats) -> tuple[Floats, Floats]:
+    """Return lengths [m] and turns [rad], 0 without directions, between n rows, (n - 1,) each."""
+    lengths = np.asarray(np.linalg.norm(np.diff(positions, axis=0), axis=1))
+    return lengths, np.nan_to_num(angle_between(directions[:-1], directions[1:]))
 
 
 def set_points(times: Floats, positions: Floats, directions: Floats) -> TipPath:
@@ -240,16 +247,10 @@ class Plan:
         self.direction_errors = np.array([one.direction_error for one in found])
         self.regions = tuple(dict.fromkeys(one.region for one in found if one.region))
         self.requested_duration = float(path.times[-1])
-        gaps = np.diff(path.times)
-        for changes, largest in (
-            (np.linalg.norm(np.diff(path.positions, axis=0), axis=1), pace.speed),
-            (
-                np.nan_to_num(angle_between(path.directions[:-1], path.directions[1:])),
-                pace.turning,
-            ),
-            (np.abs(np.diff(tensions, axis=0)).max(axis=1, initial=0.0), pace.tension),
-        ):
-            gaps = np.maximum(gaps, changes / largest)
+        lengths, turns = pieces(path.positions, path.directions)
+        changes = np.abs(np.diff(tensions, axis=0)).max(axis=1, initial=0.0)
+        least = lengths / pace.speed, turns / pace.turning, changes / pace.tension
+        gaps = np.max([np.diff(path.times), *least], axis=0)
         self.path = replace(path, times=np.concatenate([[0.0], np.cumsum(gaps)]))
         halfway = 0.5 * (tensions[:-1] + tensions[1:])
         if not len(halfway):
