@@ -6,7 +6,6 @@ import csv
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -24,12 +23,11 @@ from .arrays import (
     POSITION,
     QUATERNION,
     Marker,
-    Vector,
     default_markers,
     split_by_order,
     split_by_origin,
 )
-from .dataset import INPUTS, PATHS, DataSet, HasDataSet, Known, as_dataset
+from .dataset import INPUTS, PATHS, DataSet, HasDataSet, as_dataset
 from .measurement_files import KEYS, ORIGIN, VISIT, Commands, Shapes
 
 DESCRIPTION_KEYS = (
@@ -66,25 +64,6 @@ class DatasetFields(Reader):
     def distance(self, key: str, high: float) -> float | None:
         """Return a positive distance [m], None when absent."""
         return self.number(key, 1e-9, high, 'm') if self.has(key) else None
-
-
-@dataclass(frozen=True)
-class Description:
-    """The content of dataset.yaml; see `DataSet` for the meaning of each value."""
-
-    input: str
-    path: str
-    gravity: Vector | None
-    position_noise: float | None
-    setting_noise: float
-    trial_noise: float
-    accuracy: float | None
-    known: Known
-    markers: tuple[Marker, ...] | None  # None = one per cell
-
-    def values(self) -> dict[str, Any]:
-        """Return them by the names that they have in a data set, without the markers."""
-        return {key: value for key, value in vars(self).items() if key != 'markers'}
 
 
 NO_FOLDER = (
@@ -136,9 +115,11 @@ def find_robot(fields: DatasetFields, folder: Path) -> Robot:
     return load_robot(path)
 
 
-def describe(fields: DatasetFields, robot: Robot) -> Description:
+def describe(fields: DatasetFields, robot: Robot) -> dict[str, Any]:
     """
-    Check the values of a dataset.yaml against the robot.
+    Return the values of a dataset.yaml, checked against the robot, by their names in a `DataSet`.
+
+    Markers that are not listed are None: one per cell.
 
     Raises
     ------
@@ -162,17 +143,17 @@ def describe(fields: DatasetFields, robot: Robot) -> Description:
         if math.hypot(x, y, z) > PLAUSIBLE_FACTOR * STANDARD_GRAVITY:
             expected = 'an acceleration in m/s², such as [0, 0, 9.81]'
             raise fields.error('gravity', expected, list(gravity))
-    return Description(
-        input=fields.choice('input', INPUTS, default='tension'),
-        path=fields.choice('path', PATHS, default='from_straight'),
-        gravity=gravity,
-        position_noise=fields.distance('position_noise', robot.length / 10),
-        setting_noise=noise.number('setting', 0.0, 0.5) if noise.has('setting') else 0.0,
-        trial_noise=noise.number('trial', 0.0, 0.5) if noise.has('trial') else 0.0,
-        accuracy=fields.distance('accuracy', robot.length),
-        known=known,
-        markers=_markers(fields, robot) if fields.has('markers') else None,
-    )
+    return {
+        'input': fields.choice('input', INPUTS, default='tension'),
+        'path': fields.choice('path', PATHS, default='from_straight'),
+        'gravity': gravity,
+        'position_noise': fields.distance('position_noise', robot.length / 10),
+        'setting_noise': noise.number('setting', 0.0, 0.5) if noise.has('setting') else 0.0,
+        'trial_noise': noise.number('trial', 0.0, 0.5) if noise.has('trial') else 0.0,
+        'accuracy': fields.distance('accuracy', robot.length),
+        'known': known,
+        'markers': _markers(fields, robot) if fields.has('markers') else None,
+    }
 
 
 def read_markers(rows: list[Any], robot: Robot) -> tuple[Marker, ...]:
@@ -244,12 +225,12 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
     fields = read_fields(read_text(path), str(path))
     if robot is None:
         robot = find_robot(fields, folder)
-    description = describe(fields, robot)
-    markers = description.markers or default_markers(robot)
+    described = describe(fields, robot)
+    markers = described['markers'] or default_markers(robot)
     names = tuple(marker.name for marker in markers)
-    visits = description.path == 'visits'
+    visits = described['path'] == 'visits'
     try:
-        commands = Commands(folder / 'inputs.csv', robot, description.input, visits)
+        commands = Commands(folder / 'inputs.csv', robot, described['input'], visits)
     except DataSetError:
         try:
             own = find_robot(fields, folder)
@@ -263,23 +244,22 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
                 'name a description of the robot that was measured',
             ) from None
         raise
-    between = description.path != 'from_straight'
+    between = described['path'] != 'from_straight'
     shapes = Shapes(folder / 'shapes.csv', robot, names, commands, between)
     visible = np.isfinite(shapes.positions[..., 0]).any(axis=(0, 1))
-    if description.markers and not visible.all():
+    if described['markers'] and not visible.all():
         problem = f'{names[int(visible.argmin())]!r} was never seen in shapes.csv'
         raise DataSetError(f'{path}: markers', problem, 'correct the name or remove the marker')
     dataset = DataSet(
         name=str(folder),
         robot=robot,
-        markers=markers,
         postures=commands.postures,
         inputs=commands.by_posture(),
         trial_names=shapes.trials,
         trial_inputs=commands.by_trial(shapes.trials),
         positions=shapes.positions,
         orientations=shapes.orientations,
-        **description.values() | {'path': 'sequence' if visits else description.path},
+        **described | {'markers': markers} | ({'path': 'sequence'} if visits else {}),
     ).without_unseen_markers()
     return _by_history(dataset, commands) if visits else dataset
 

@@ -33,7 +33,7 @@ from .bag_reader import (
 )
 from .bag_writer import DESCRIPTION, ROBOT
 from .dataset import EXPECTED, DataSet, HasDataSet, Part, as_dataset
-from .folder import Description, describe, read_fields, read_folder
+from .folder import describe, read_fields, read_folder
 from .still_segments import (
     ArmMotion,
     Rule,
@@ -121,11 +121,12 @@ def import_bag(
         robot = parse_robot(recording.robot or '', f'{recording.name}: {ROBOT}')
     robot = load_robot(robot)
     described = _describe(recording, robot, description)
+    listed, kind = described.pop('markers'), described['input']
+    expected = listed or default_markers(robot)
     if recording.tracks:
         recording = in_base(recording)
     else:
-        names = [marker.name for marker in described.markers or default_markers(robot)]
-        recording = with_markers(recording, topics, names, bag)
+        recording = with_markers(recording, topics, [one.name for one in expected], bag)
     if not in_tracker_frame and not is_base(recording.frame):
         raise DataSetError(
             recording.name,
@@ -133,19 +134,16 @@ def import_bag(
             'base is',
             'take it in with `import bag`, which finds where it lies (--frame base: the base)',
         )
-    recording, renumbered_lines = _renumbered(
-        recording, described.markers or default_markers(robot)
-    )
-    markers = _markers(recording, robot, described)
-    inputs = _inputs(recording, robot, described.input)
+    recording, renumbered_lines = _renumbered(recording, len(expected))
+    markers = _markers(recording, robot, listed)
+    inputs = _inputs(recording, robot, kind)
     recording, unseen = _without_unseen(recording, robot, [marker.name for marker in markers])
     refuse_two_senders(recording, inputs)
     recording, exchanged = _put_back(recording)
-    rule = (rule or Rule()).fill(robot, described.input)
+    rule = (rule or Rule()).fill(robot, kind)
     speeds = motion(recording, inputs, rule)
-    segments, excluded = find_segments(
-        recording, inputs, speeds, rule, sequence=described.path == 'sequence'
-    )
+    sequence = described['path'] == 'sequence'
+    segments, excluded = find_segments(recording, inputs, speeds, rule, sequence)
     if not any(np.isfinite(one.positions).any() for one in segments):
         times = [track.times for track in recording.tracks]
         raise never_still(recording.name, [speeds], times, rule)
@@ -162,8 +160,8 @@ def import_bag(
         problem = f'a marker is {far:g} m away, but the robot is only {robot.length:g} m long'
         remedy = 'record metres in the base frame (are these mm?)'
         raise DataSetError(recording.name, problem, remedy)
-    segments = plausible_inputs(recording.name, segments, robot, described.input, rule)
-    dataset = segments_dataset(recording.name, segments, robot, markers, **described.values())
+    segments = plausible_inputs(recording.name, segments, robot, kind, rule)
+    dataset = segments_dataset(recording.name, segments, robot, markers, **described)
     return Imported(
         dataset,
         tuple(segments),
@@ -176,14 +174,14 @@ def import_bag(
     )
 
 
-def _renumbered(recording: Recording, markers: Sequence[Marker]) -> tuple[Recording, list[str]]:
-    """Join tracks of markers that were renumbered; return the recording and a line for each."""
+def _renumbered(recording: Recording, count: int) -> tuple[Recording, list[str]]:
+    """Join the tracks of `count` markers that were renumbered; return a line for each, too."""
     track = recording.tracks[0]
-    if recording.marker_names or track.positions.shape[1] <= len(markers):
+    if recording.marker_names or track.positions.shape[1] <= count:
         return recording, []
     positions = np.where(is_missing(track.positions)[..., None], np.nan, track.positions)
     chains = renumbered(positions)
-    if len(chains) != len(markers):
+    if len(chains) != count:
         return recording, []
     lines = [
         f'poses {listing(map(str, chain))} of the shape are one marker, numbered anew'
@@ -223,21 +221,22 @@ def _without_unseen(
     return replace(recording, tracks=tuple(tracks)), lines
 
 
-def _describe(recording: Recording, robot: Robot, text: str | None) -> Description:
+def _describe(recording: Recording, robot: Robot, text: str | None) -> dict[str, Any]:
     source = 'description' if text is not None else f'{recording.name}: {DESCRIPTION}'
     text = recording.description if text is None else text
     fields = read_fields(text or '', source)
     described = describe(fields, robot)
-    if fields.has('input'):
-        return described
-    # a driver that observes no tension gives NaN
-    observed = np.isfinite(recording.inputs(robot.inputs, 'tension')).any()
-    return replace(described, input='tension' if observed else 'displacement')
+    if not fields.has('input'):  # a driver that observes no tension gives NaN
+        observed = np.isfinite(recording.inputs(robot.inputs, 'tension')).any()
+        described['input'] = 'tension' if observed else 'displacement'
+    return described
 
 
-def _markers(recording: Recording, robot: Robot, description: Description) -> tuple[Marker, ...]:
+def _markers(
+    recording: Recording, robot: Robot, listed: tuple[Marker, ...] | None
+) -> tuple[Marker, ...]:
     """Return the marker of every pose, in the order of the recording."""
-    markers = description.markers or default_markers(robot)
+    markers = listed or default_markers(robot)
     names = recording.marker_names
     if not names:
         count = recording.tracks[0].positions.shape[1]
@@ -247,7 +246,7 @@ def _markers(recording: Recording, robot: Robot, description: Description) -> tu
             raise DataSetError(recording.name, problem, remedy)
         return markers
     known = {marker.name: marker for marker in markers}
-    if description.markers is None:
+    if listed is None:
         known.setdefault('tip', Marker('tip', robot.length))
     for name in names:
         if name not in known:
