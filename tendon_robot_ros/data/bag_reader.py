@@ -414,8 +414,7 @@ def _moved(track: Track, matrix: Floats, shift: Floats) -> Track:
 
     quats = track.orientations.copy()
     known = np.linalg.norm(np.nan_to_num(quats), axis=-1) > 0.5
-    plain = (quats == NO_ROTATION).all(axis=-1)
-    known &= ~plain
+    known &= (quats != NO_ROTATION).any(axis=-1)
     if known.any():
         quats[known] = (Rotation.from_matrix(matrix) * Rotation.from_quat(quats[known])).as_quat()
     return Track(track.times, track.positions @ matrix.T + shift, quats)

@@ -125,11 +125,9 @@ class BagWriter(AbstractContextManager['BagWriter']):
     def write(self, topic: str, time: int, message: object) -> None:
         """Write one message of an announced topic; `time` is in nanoseconds."""
         connection = self._connections[topic]
-        if isinstance(message, bytes):
-            self._writer.write(connection, time, message)
-            return
-        raw = self.types.serialize_cdr(message, connection.msgtype)
-        self._writer.write(connection, time, raw)
+        if not isinstance(message, bytes):
+            message = self.types.serialize_cdr(message, connection.msgtype)
+        self._writer.write(connection, time, message)
 
     def close(self) -> None:
         """Complete the recording."""

@@ -39,28 +39,18 @@ def csv_text(path: Path, remedy: str) -> str:
 
     """
     try:
-        text = path.read_text(encoding='utf-8-sig')
-    except UnicodeDecodeError:
-        raise _no_text(path) from None
+        content = path.read_bytes()
     except OSError as error:
         raise DataSetError(str(path), f'cannot be read ({error.strerror})', remedy) from None
-    if '\0' in text:
-        raise _no_text(path)
-    return text
-
-
-def _no_text(path: Path) -> DataSetError:
-    """Build the error for a file that is no text, with the row where that begins."""
-    content = path.read_bytes()
-    place = content.find(b'\0') % (len(content) + 1)  # the end when there is none
+    is_text = content.partition(b'\0')[0]  # up to where it is no text
     try:
-        content.decode('utf-8')
+        text = content.decode('utf-8')
     except UnicodeDecodeError as error:
-        place = min(place, error.start)
-    row = content[:place].count(b'\n') + 1
-    return DataSetError(
-        f'{path}, row {row}', 'this is no UTF-8 text', 'save the file as "CSV UTF-8"'
-    )
+        is_text = is_text[: error.start]
+    if len(is_text) < len(content):
+        where = f'{path}, row {is_text.count(b"\n") + 1}'
+        raise DataSetError(where, 'this is no UTF-8 text', 'save the file as "CSV UTF-8"')
+    return text.removeprefix('\ufeff').replace('\r\n', '\n').replace('\r', '\n')
 
 
 class CsvFile:

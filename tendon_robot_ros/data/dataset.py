@@ -321,30 +321,24 @@ class DataSet(TextResult):
             values['gravity'] = tuple(finite('gravity', values['gravity'], 3).tolist())
         placed = place_markers(robot, markers, labels, values['name'])
         dataset = cls(robot=robot, markers=placed, **values)
-        dataset._check_units()
-        return dataset
-
-    def _check_units(self) -> None:
-        """Raise DataSetError where a value is too large for this robot, or a tension pushes."""
-        length, limit = self.robot.length, self.robot.tension_limits[1]
+        length, limit, arcs = robot.length, robot.tension_limits[1], dataset.arc_lengths
         remedy = 'give metres and newtons, in the base frame'
-        far = float(np.nan_to_num(np.abs(self.positions)).max(initial=0.0))
-        inputs = np.nan_to_num(self.inputs)
+        far = float(np.nan_to_num(np.abs(dataset.positions)).max(initial=0.0))
+        inputs = np.nan_to_num(dataset.inputs)
         low, high = float(inputs.min(initial=0.0)), float(inputs.max(initial=0.0))
-        if not ((self.arc_lengths >= 0.0) & (self.arc_lengths <= length + 1e-9)).all():
-            place = np.nanmax(self.arc_lengths)
-            problem = f'a marker is at {place:g} m of an arm of {length:g} m'
+        if not ((arcs >= 0.0) & (arcs <= length + 1e-9)).all():
+            problem = f'a marker is at {np.nanmax(arcs):g} m of an arm of {length:g} m'
         elif far > PLAUSIBLE_FACTOR * length:
             problem = f'a marker is {far:g} m away, but the robot is only {length:g} m long'
-        elif self.input == 'displacement' and max(-low, high) > length:
+        elif dataset.input == 'displacement' and max(-low, high) > length:
             problem = f'a wire is pulled by {max(-low, high):g} m on an arm of {length:g} m'
-        elif self.input == 'tension' and high > PLAUSIBLE_FACTOR * limit:
+        elif dataset.input == 'tension' and high > PLAUSIBLE_FACTOR * limit:
             problem, remedy = too_tense('a tendon', high, limit)
-        elif self.input == 'tension' and low < 0.0:
+        elif dataset.input == 'tension' and low < 0.0:
             problem = f'a tension is {low:g} N, but a tendon cannot push'
         else:
-            return
-        raise DataSetError(self.name, problem, remedy)
+            return dataset
+        raise DataSetError(dataset.name, problem, remedy)
 
     def frame(self) -> Any:
         """

@@ -60,12 +60,8 @@ def read_path(path: str | Path, inputs: tuple[str, ...]) -> TipRows | TendonRows
     """
     path = Path(path)
     missing = 'write a number, or leave dx, dy and dz empty for no direction'
-    try:  # errors of the file are raised when it is read below
-        line = csv_text(path, NO_PATH).partition('\n')[0]
-        header = {cell.strip(' "') for cell in line.split(',')}
-    except DataSetError:
-        header = set()
-    if header & set(inputs):
+    line = csv_text(path, NO_PATH).partition('\n')[0]
+    if set(inputs) & {cell.strip(' "') for cell in line.split(',')}:
         columns = ('time', *inputs)
         file = CsvFile(path, columns, columns, 'write a number', NO_PATH).read((), columns)
         values = file.columns(inputs)

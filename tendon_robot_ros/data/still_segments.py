@@ -249,7 +249,12 @@ def find_segments(
     for (begin, text), end in zip(recording.labels, ends, strict=True):
         if not text:
             continue
-        posture, trial = _label(recording.name, text)
+        try:
+            label = json.loads(text)
+            posture, trial = str(label['posture']), str(label['trial'])
+        except (ValueError, TypeError, KeyError):
+            remedy = 'write {"posture": ..., "trial": ...} as JSON, or nothing'
+            raise DataSetError(recording.name, f'label {short(text)}', remedy) from None
         inside = [part for part in stretches if begin <= part[0] and part[1] <= end]
         if inside:
             longest = max(inside, key=lambda part: part[1] - part[0])
@@ -263,16 +268,6 @@ def find_segments(
             continue
         segments.append(replace(one, posture=posture, trial=trial))
     return segments, excluded
-
-
-def _label(bag: str, text: str) -> tuple[str, str]:
-    try:
-        label = json.loads(text)
-        return str(label['posture']), str(label['trial'])
-    except (ValueError, TypeError, KeyError):
-        raise DataSetError(
-            bag, f'label {short(text)}', 'write {"posture": ..., "trial": ...} as JSON, or nothing'
-        ) from None
 
 
 def _average(recording: Recording, inputs: Floats, begin: float, end: float) -> Segment:
