@@ -164,21 +164,12 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, *, prog: str, description: str, note: str = '') -> None:
         """Name the program and say what it does; `note` stands below the options."""
         super().__init__(prog=prog, allow_abbrev=False, add_help=False)
-        *text, last = description.split('\n\n')
-        self.text, self.note = (
-            (text, note) if last.startswith('example: ') else ([*text, last], note)
-        )
-        self.example = last.removeprefix('example: ') if len(self.text) == len(text) else ''
-        for option, whole in (('--help', False), ('--help-all', True)):
-            self.add_argument(
-                *(['-h'] if option == '--help' else []),
-                option,
-                action=_Help,
-                nargs=0,
-                const=whole,
-                default=argparse.SUPPRESS,
-                help=argparse.SUPPRESS,
-            )
+        self.text, self.note, self.example = description.split('\n\n'), note, ''
+        if self.text[-1].startswith('example: '):
+            self.example = self.text.pop()
+        hidden: Any = {'default': argparse.SUPPRESS, 'help': argparse.SUPPRESS}
+        self.add_argument('-h', '--help', action=_Help, nargs=0, const=False, **hidden)
+        self.add_argument('--help-all', action=_Help, nargs=0, const=True, **hidden)
         # argparse takes a leading minus for an option unless it sees a plain number
         self._negative_number_matcher = re.compile(r'^-[0-9.]')
 
@@ -206,8 +197,7 @@ class Parser(argparse.ArgumentParser):
             parts.append('\n'.join([*title, *(self._line(action, whole) for action in own)]))
         also = ', '.join(action.option_strings[0] for action in named)
         more = wrap(f'more: --help-all{", also of " * bool(named)}{also}', SCREEN_COLUMNS)
-        example = f'example: {self.example}' if self.example else ''
-        parts += [self.note, '\n'.join(filter(None, [*([] if whole else more), example]))]
+        parts += [self.note, '\n'.join(filter(None, [*([] if whole else more), self.example]))]
         return '\n\n'.join(filter(None, parts)) + '\n'
 
     def _line(self, action: argparse.Action, whole: bool) -> str:

@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -219,7 +219,7 @@ def calibrate_motor(args: argparse.Namespace) -> int:
     if not (1.0 <= args.travel <= 1000.0 and 0.1 <= args.speed <= 200.0):
         raise InputError('--travel, --speed: expected 1 to 1000 mm and 0.1 to 200 mm/s')
     bus, motor, wire = open_motor(args)
-    try:
+    with closing(bus):
         points = []
         for mass in args.weights:
             wait_for(
@@ -232,8 +232,6 @@ def calibrate_motor(args: argparse.Namespace) -> int:
             currents = f'winding {point.wind:.4f} A, paying out {point.pay_out:.4f} A'
             print(f'  {point.tension:.3f} N: {currents}', file=sys.stderr)
             points.append(point)
-    finally:
-        bus.close()
     fitted = fit_current(points)
     half_gap = fitted.uncertainty(max(point.tension for point in points))
     lines = to_mapping(fitted, points, wire.model.name, wire.spool.radius)
@@ -330,7 +328,7 @@ def measure_cell(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
     link = BoardLink(config.port, config.baudrate)
     link.open(lambda: link.identify(config))
     points: list[CountsPoint] = []
-    try:
+    with closing(link):
         for mass in (0.0, *args.weights):
             hang = f'hang {mass:g} kg on' if mass else 'nothing may pull at'
             text = f'{hang} the load cell of {tendon}'
@@ -340,8 +338,6 @@ def measure_cell(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
             counts = f'{point.mean:.0f} ± {point.spread:.0f} counts'
             print(f'  {force:.3f} N: {counts}', file=sys.stderr)
             points.append(point)
-    finally:
-        link.close()
     cell = fit_counts(points)
     heaviest = max(point.tension for point in points)
     text = (

@@ -65,14 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = 'instead: a table over time as laboratories have them'
     add_file(parser, '--table', what, 'CSV')
     add('--overwrite', action='store_true', help='replace data sets')
-    add_measuring(parser)
-    declare(parser, '--json', '--effect-file')
-
-
-def add_measuring(parser: argparse.ArgumentParser) -> None:
-    """Declare the postures, trials, markers and noise."""
     usual = SimulatedNoise()
-    add = parser.add_argument
     what = 'a file like inputs.csv, or so many (default: 12, 20 in a sequence; a check has half)'
     add('--postures', metavar='N|CSV', default='', help=what)
     add('--trials', type=int, default=5, metavar='N', help='trials of a posture (default: 5)')
@@ -88,6 +81,7 @@ def add_measuring(parser: argparse.ArgumentParser) -> None:
     add('--path', choices=PATHS, default='from_straight', help=reached)
     markers = 'so many, evenly spaced, or at these arc lengths [mm] (default: one per cell)'
     add('--markers', metavar='N|S,S,...', help=markers)
+    declare(parser, '--json', '--effect-file')
 
 
 def run(args: argparse.Namespace) -> int:

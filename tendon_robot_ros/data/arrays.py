@@ -389,18 +389,14 @@ def split_by_order(
 def split_by_origin(names: Sequence[str], commands: Ints, before: Ints, measured: Bools) -> Split:
     """Split rows (R,) by their given command before, which the arm reached from straight."""
     pairs, posture = _pairs(commands, before)
-    present = np.zeros(len(pairs), dtype=bool)
-    present[posture[measured]] = True
-    row, fresh, counts = [], [], []
+    present = np.isin(np.arange(len(pairs)), posture[measured])
+    each: list[tuple[int, bool, bool]] = []  # row, fresh, counts
     for p, (_, origin) in enumerate(pairs.tolist()):
         if origin != STRAIGHT:
-            row.append(int(np.flatnonzero(pairs[:, 0] == origin)[0]))
-            fresh.append(True)
-            counts.append(False)
-        row.append(p)
-        fresh.append(origin == STRAIGHT)
-        counts.append(bool(present[p]))
-    visits = Visits((), np.array(row), np.array(fresh), np.array(counts), np.full(len(row), -1))
+            each.append((int(np.flatnonzero(pairs[:, 0] == origin)[0]), True, False))
+        each.append((p, origin == STRAIGHT, bool(present[p])))
+    rows, fresh, counts = (np.array(column) for column in zip(*each, strict=True))
+    visits = Visits((), rows, fresh, counts, np.full(len(rows), -1))
     return _split(names, pairs, posture, visits)
 
 
