@@ -88,12 +88,8 @@ def first_row_of_data(rows: Sequence[Row]) -> int | None:
     The last quarter of the rows shows which columns hold values.
     """
     sample = rows[-max(len(rows) // 4, 1) :]
-    count: Counter[int] = Counter()
-    values: Counter[int] = Counter()
-    for row in sample:
-        for i in _filled(row):
-            count[i] += 1
-            values[i] += is_value(row[i])
+    count = Counter(i for row in sample for i in _filled(row))
+    values = Counter(i for row in sample for i in _filled(row) if is_value(row[i]))
     numeric = {i for i in count if 2 * values[i] > count[i]}
     if not numeric or 2 * values.total() < count.total():
         return None
@@ -225,17 +221,12 @@ def _padded(row: Row, width: int) -> Row:
 
 def unnamed(shown: str, row: int, maker: Maker | None) -> DataSetError:
     """Build the error for a table whose columns have no names."""
+    problem = 'is no header, it holds numbers'
+    remedy = 'start the file with the names of the columns'
     if maker is not None:
-        return DataSetError(
-            f'{shown}, row {row}',
-            f'is an export of {maker.name} without rows that name the points',
-            'export it again with its header rows',
-        )
-    return DataSetError(
-        f'{shown}, row {row}',
-        'is no header, it holds numbers',
-        'start the file with the names of the columns',
-    )
+        problem = f'is an export of {maker.name} without rows that name the points'
+        remedy = 'export it again with its header rows'
+    return DataSetError(f'{shown}, row {row}', problem, remedy)
 
 
 def _qualisys_names(shown: str, keys: Mapping[str, Row], width: int) -> Row:

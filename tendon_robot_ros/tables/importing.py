@@ -34,7 +34,7 @@ from .recipe import (
     Stillness,
     as_recipe,
 )
-from .registration import Placed, TrackerFrame, rotation_vector, side_offset, up_that_fits
+from .registration import Placed, rotation_vector, side_offset, up_that_fits
 from .traces import follow_renumbered, make_traces
 
 
@@ -113,7 +113,8 @@ def import_table(
     placed = Placed(raw, chosen.recipe, catalogue)
     final, frame = placed.dataset, placed.frame
     show('comparing with the model', 3, 4)
-    predicted = Predictor(final, final.robot, catalogue).markers({})
+    predictor = Predictor(final, final.robot, catalogue)
+    predicted = predictor.markers({})
     assert predicted is not None  # this robot had equilibria in these postures above
     return ImportedTable(
         dataset=final,
@@ -135,7 +136,7 @@ def import_table(
         ),
         look=(
             *chosen.warnings,
-            *_history_warnings(final, measured, order, frame, chosen.recipe, catalogue),
+            *_history_warnings(placed, measured, order, predictor),
             *placed.warnings,
             *_place_warnings(final),
             *(() if placed.frame_warnings else _offset_warnings(final, predicted, catalogue)),
@@ -238,15 +239,10 @@ def _markers_assumed(order: MarkerOrder, chosen: Selection) -> list[str]:
 
 
 def _history_warnings(
-    dataset: DataSet,
-    measured: StillMeasurements,
-    order: MarkerOrder,
-    frame: TrackerFrame,
-    recipe: Recipe,
-    catalogue: Catalogue,
+    placed: Placed, measured: StillMeasurements, order: MarkerOrder, predictor: Predictor
 ) -> list[str]:
     """Return contradictions of the assumed history, that is the posture before each posture."""
-    lines = [*measured.warnings]
+    dataset, lines = placed.dataset, [*measured.warnings]
     # no history has two trials: only the noise between frames is known
     alone = dataset.position_noise is not None and dataset.trials.max(initial=0) <= 1
     if alone and dataset.path != FROM_STRAIGHT:
@@ -255,14 +251,15 @@ def _history_warnings(
             f"{mm(dataset.position_noise, 2)}, is that of the tracker's frames alone, and trials "
             'differ by more; say position_noise in dataset.yaml, or measure rounds'
         )
-    if recipe.path != FROM_STRAIGHT or measured.rest or not recipe.time:
+    is_timed = measured.pieces[0].motion is not None
+    if dataset.path != FROM_STRAIGHT or measured.rest or not is_timed:
         return lines
     segments = measured.segments
     places = np.array([one.positions[list(order.members)] for one in segments])
     if not path_dependence(segments, measured.begins, places):
         return lines
-    slopes = input_slopes(Predictor(dataset, dataset.robot, catalogue), {})
-    shift = input_effect(dataset, slopes) @ frame.rotation  # in the tracker's frame
+    # in the tracker's frame
+    shift = input_effect(dataset, input_slopes(predictor, {})) @ placed.frame.rotation
     places = places - shift[rows_of(segments, dataset.postures, dataset.trial_names)]
     return [*lines, *path_dependence(segments, measured.begins, places)]
 

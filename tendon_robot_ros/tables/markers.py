@@ -395,8 +395,7 @@ def places_contradicted(dataset: DataSet) -> list[str]:
     Places that an import.yaml of another recording gives are those of other markers then.
     """
     positions, arc_lengths = dataset.mean, dataset.arc_lengths
-    with np.errstate(invalid='ignore'):
-        chords = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
+    chords = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
     apart = np.where(np.isfinite(chords), chords, 0.0).max(axis=0)
     beside = np.linalg.norm(dataset.offsets, axis=1)
     between = np.abs(arc_lengths[:, None] - arc_lengths) + beside[:, None] + beside
@@ -420,8 +419,7 @@ def _distances(positions: Floats) -> Floats:
     The chord between two markers is longest, and as long as the arm between them, where the arm
     is straight; this needs neither a frame nor a model.
     """
-    with np.errstate(invalid='ignore'):
-        chords = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
+    chords = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
     known = np.isfinite(chords)
     longest: Floats = np.where(known, chords, -1.0).max(axis=0)
     whole = np.where(known.all(axis=(1, 2)), np.nan_to_num(chords).max(axis=(1, 2)), -1.0)

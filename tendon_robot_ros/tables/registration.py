@@ -22,7 +22,7 @@ from ..common.words import LISTED_MAX, STANDARD_GRAVITY, listed, mm
 from ..data import DataSet
 from ..data.arrays import Vector
 from ..effects import Catalogue
-from ..inference.outliers import Outliers, find_outliers
+from ..inference.outliers import find_outliers
 from ..inference.predict import Predictor
 from ..inference.statistics import rms
 from ..robot.estimates import BY_EYE_RAD, MODEL_ERROR_MAX, NOISE_FACTOR, TRACKER_NOISE_M
@@ -107,15 +107,17 @@ class TrackerFrame:
         elif self.method == 'straight':
             rotation, shift = _straight(measured, markers, dataset, visible)
         else:
-            above = None  # where up is in the base frame, (3,)
+            above, first = None, np.eye(3)
             if self.method == 'level':
-                if not has_verticals:
+                if up is None or not has_verticals:
                     raise InputError(
                         "--frame level needs the tracker's --up and the robot's gravity (where "
                         'the arm points)'
                     )
-                above = -gravity / np.linalg.norm(gravity)
-            rotation, shift = _weighted(measured, markers, dataset.arc_lengths, up, above)
+                above = -gravity / np.linalg.norm(gravity)  # up in the base frame, (3,)
+                first = towards(above) @ towards(up_axis(up)).T  # the tracker's up onto that
+            rotation, shift = _weighted(measured @ first.T, markers, dataset.arc_lengths, above)
+            rotation = rotation @ first
         # as a file gives it back
         self.rotation = from_rotation_vector(rotation_vector(rotation))
         self.shift = shift.round(DIGITS)
@@ -180,14 +182,10 @@ def up_that_fits(
 
 
 def _weighted(
-    measured: Floats,
-    markers: Floats,
-    arc_lengths: Floats,
-    up: str | None,
-    above: Floats | None,
+    measured: Floats, markers: Floats, arc_lengths: Floats, axis: Floats | None
 ) -> tuple[Floats, Floats]:
     """
-    Lay postures (P, J, 3) [m] onto the model's; with `above` the verticals stay together.
+    Lay postures (P, J, 3) [m] onto the model's, turned about an axis (3,) if there is one.
 
     The squared error of a model grows with the cube of the arc length where curvatures are off at
     random, so that markers next to the base have the largest weights. How fast it grows is
@@ -197,13 +195,7 @@ def _weighted(
     a, b = measured[mask], markers[mask]
     weights = np.ones(mask.shape)
     for _ in range(ITERATIONS_MAX):
-        w = weights[mask]
-        if above is None or up is None:
-            rotation, shift = rigid_fit(a, b, w)
-        else:
-            first = towards(above) @ towards(up_axis(up)).T  # the tracker's up onto the base's
-            about, shift = rigid_fit(a @ first.T, b, w, above)
-            rotation = about @ first
+        rotation, shift = rigid_fit(a, b, weights[mask], axis)
         squares = np.where(mask, ((measured @ rotation.T + shift - markers) ** 2).sum(axis=2), 0.0)
         weights = np.broadcast_to(_weights(squares, mask, arc_lengths), mask.shape)
     return rotation, shift
@@ -389,14 +381,13 @@ class Placed:
 
 
 def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:
-    out = np.zeros(dataset.trial_mask.shape, dtype=bool)
+    positions = dataset.positions.copy()
     for posture, trial in pairs:
         if posture not in dataset.postures or trial not in dataset.trial_names:
             problem = f'there is no posture {posture!r}, trial {trial!r}'
             raise DataSetError(f'{dataset.name}: leave_out', problem, 'take that line out')
-        out[dataset.postures.index(posture), dataset.trial_names.index(trial)] = True
-    nothing = np.zeros((*out.shape, len(dataset.markers)), dtype=bool)
-    return Outliers(nothing, out, np.zeros(nothing.shape)).without(dataset)
+        positions[dataset.postures.index(posture), dataset.trial_names.index(trial)] = np.nan
+    return replace(dataset, positions=positions)
 
 
 def _gravity(
