@@ -186,8 +186,7 @@ def is_number(text: str) -> bool:
 
 def _default_postures(args: argparse.Namespace, robot: Robot, which: int) -> Floats:
     """Return as many default postures as are wanted, for a check half of them."""
-    usual = round(12 * SEQUENCE_FACTOR) if args.path == 'sequence' else 12
-    count = usual
+    count = round(12 * SEQUENCE_FACTOR) if args.path == 'sequence' else 12
     if is_number(args.postures):
         count = whole('--postures', int(args.postures), 1)
     return default_postures(robot, max(count // (1 + which), 1), which, args.input, args.path)

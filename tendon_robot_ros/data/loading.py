@@ -465,11 +465,10 @@ def join(datasets: Sequence[DataSetLike]) -> DataSet:
             parts.append(one if dataset.parts else replace(one, name=name))
     trials = max((d.trial_names for d in sets), key=len)
     visits = [dataset.visits for dataset in sets if dataset.visits is not None]
-    noises: dict[str, Any] = {}
-    for key in NOISES:
-        given = [getattr(dataset, key) for dataset in sets]
-        noises[key] = max((value for value in given if value is not None), default=None)
-
+    noises: dict[str, Any] = {
+        key: max((n for d in sets if (n := getattr(d, key)) is not None), default=None)
+        for key in NOISES
+    }
     turned = [d.orientations for d in sets if d.orientations is not None]
     by_trial = any(dataset.trial_inputs is not None for dataset in sets)
     pairs = zip(names, sets, strict=True)
@@ -495,9 +494,6 @@ def join(datasets: Sequence[DataSetLike]) -> DataSet:
 
 def _stacked(arrays: Sequence[Floats], trials: int) -> Floats:
     """Join arrays (P, Q, ...) of postures, each padded with NaN to the same number of trials."""
-    padded = []
-    for array in arrays:
-        lacking = np.zeros((array.ndim, 2), dtype=int)
-        lacking[1, 1] = trials - array.shape[1]
-        padded.append(np.pad(array, lacking, constant_values=np.nan))
-    return np.concatenate(padded)
+    shapes = [(len(array), trials - array.shape[1], *array.shape[2:]) for array in arrays]
+    lacking = [np.full(shape, np.nan) for shape in shapes]
+    return np.concatenate([np.hstack(pair) for pair in zip(arrays, lacking, strict=True)])
