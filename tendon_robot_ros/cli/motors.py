@@ -121,13 +121,7 @@ class Calibrate:
         if Path(args.output).exists():
             _content(args.output)  # lines of other tendons in it are kept
         try:
-            if args.kind == 'serial':
-                line, text = measure_cell(args)
-                _write(Path(args.output), args.tendon, line, CELL_UNITS)
-                content = {'line': line, 'written': args.output}
-                emit(args, content, f'{text}\nwritten: {args.output}')
-                return 0
-            return calibrate_motor(args)
+            return calibrate_cell(args) if args.kind == 'serial' else calibrate_motor(args)
         except ModuleNotFoundError as error:
             raise MissingExtraError(error.name or args.kind, args.kind) from None
 
@@ -317,8 +311,8 @@ def draw(fitted: Calibration, points: list[CurrentPoint], tendon: str, path: Pat
         figure.savefig(draft, dpi=dots)
 
 
-def measure_cell(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    """Measure and fit; return what is written for the tendon, and the same in words."""
+def calibrate_cell(args: argparse.Namespace) -> int:
+    """Measure counts under weights, fit a line and write it."""
     from ..drivers.serial_board.config import cell_mapping, fit_counts, read_config
     from ..drivers.serial_board.link import BoardLink
 
@@ -344,7 +338,10 @@ def measure_cell(args: argparse.Namespace) -> tuple[dict[str, Any], str]:
         f'{tendon}: tension = (counts - {cell.zero:.0f}) * {cell.newtons_per_count:.5g} N\n'
         f'uncertainty: {cell.uncertainty(np.array(heaviest)):.2g} N (1 sd) at {heaviest:.3g} N'
     )
-    return cell_mapping(cell, points), text
+    line = cell_mapping(cell, points)
+    _write(Path(args.output), args.tendon, line, CELL_UNITS)
+    emit(args, {'line': line, 'written': args.output}, f'{text}\nwritten: {args.output}')
+    return 0
 
 
 class Emulate:

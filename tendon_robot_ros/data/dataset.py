@@ -82,10 +82,6 @@ class EarlierRecording:
     doubt: Floats  # (P,) [m] rms at the tip of what it leaves open for each posture
     noise: Floats  # (P,) [m] 1 sd per coordinate of the tracker in what is taken off
 
-    def rows(self, rows: NDArray[np.intp]) -> EarlierRecording:
-        """Return that of some postures."""
-        return replace(self, doubt=self.doubt[rows], noise=self.noise[rows])
-
 
 @dataclass(frozen=True, eq=False)
 class DataSet(TextResult):
@@ -557,7 +553,9 @@ class DataSet(TextResult):
     def _rows(self, rows: NDArray[np.intp]) -> DataSet:
         postures = tuple(self.postures[i] for i in rows)
         arrays = ('inputs', 'part', 'trial_inputs', *READINGS)
-        taken = None if self.reference is None else self.reference.rows(rows)
+        taken = self.reference
+        if taken is not None:
+            taken = replace(taken, doubt=taken.doubt[rows], noise=taken.noise[rows])
         return self.changed(lambda array: array[rows], *arrays, postures=postures, reference=taken)
 
 

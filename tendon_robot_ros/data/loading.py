@@ -258,7 +258,6 @@ def _markers(
 
 def _inputs(recording: Recording, robot: Robot, kind: str) -> Floats:
     inputs = recording.inputs(robot.inputs, kind)
-    field = 'effort' if kind == 'tension' else 'position'
     listed = {name for state in recording.states for name in state.name}
     for name, column in zip(robot.inputs, inputs.T, strict=True):
         if name not in listed:
@@ -268,7 +267,7 @@ def _inputs(recording: Recording, robot: Robot, kind: str) -> Floats:
                 'use the robot description of the robot that was recorded',
             )
         if kind == 'tension' and not np.isfinite(column).any():
-            problem = f'the tension of {name!r} was not observed ({field} is empty or NaN)'
+            problem = f'the tension of {name!r} was not observed (effort is empty or NaN)'
             remedy = 'say input: displacement in a dataset.yaml and name it with --description'
             raise DataSetError(recording.name, problem, remedy)
     return inputs
