@@ -157,13 +157,11 @@ def placed(imported: Imported, method: str | None, up: str | None) -> tuple[Data
         return imported.dataset, [f'the frame was not checked: {error}']
     if choice.method == 'base':  # as it is; what contradicts it is said
         return imported.dataset, labelled_lines('LOOK', placing.frame_warnings)
-    lines = labelled_lines(
-        'frame', [f'{imported.frame!r}, which no transform joins with the base']
-    )
-    lines += labelled_lines('', frame_lines(placing.frame, placing.dataset.robot))
-    return placing.dataset, lines + labelled_lines('dropped', placing.dropped) + labelled_lines(
-        'LOOK', placing.warnings
-    )
+    apart = f'{imported.frame!r}, which no transform joins with the base'
+    known_by = frame_lines(placing.frame, placing.dataset.robot)
+    lines = labelled_lines('frame', [apart, *known_by])
+    lines += labelled_lines('dropped', placing.dropped)
+    return placing.dataset, lines + labelled_lines('LOOK', placing.warnings)
 
 
 class ImportTable:

@@ -343,7 +343,7 @@ def _spread(owners: Row, axes: Row, quantities: Row) -> Row:
             named = set()
         named.add(what)
         is_own = owner and (axes[i] or quantities[i]) and axes[i].lower() not in ('frame',)
-        spread.append(owner if is_own and (cell or AXIS.fullmatch(axes[i]) or axes[i]) else '')
+        spread.append(owner if is_own and (cell or axes[i]) else '')
     return spread
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 
 import numpy as np
 
@@ -155,22 +155,21 @@ class StillMeasurements:
         self.assumed = [one.clocks for one in traces if one.clocks]
         self.warnings = [f'{t.recording.name}: {line}' for t in traces for line in t.exchanged]
         rows = sum(len(one.recording.tracks[0].times) for one in traces)
-        motions: list[ArmMotion | None] = [None] * len(traces)
+        motions: list[ArmMotion] = []  # none: every row is a measurement
         sparse = _too_far_apart(traces, rule) if recipe.time else ''
         if recipe.time:
             traces = [replace(one, recording=_denser(one.recording, rule)) for one in traces]
             motions = [_without_peaks(motion(t.recording, t.inputs, rule)) for t in traces]
-            rule = _still_rule([m for m in motions if m is not None], traces, rule, recipe)
+            rule = _still_rule(motions, traces, rule, recipe)
         self.rule = rule
-        pairs = zip(traces, motions, strict=True)
+        pairs = zip_longest(traces, motions)
         pieces = [_piece(one, moved, rule, chosen, robot) for one, moved in pairs]
         segments = [one for piece in pieces for one in piece.segments]
         if not segments and sparse:
             raise DataSetError(name, sparse, SETTLED_ROWS)
         if not segments:
-            known = [motion for motion in motions if motion is not None]
             times = [one.recording.tracks[0].times for one in traces]
-            raise never_still(name, known, times, rule)
+            raise never_still(name, motions, times, rule)
         self.same = _guess_same(segments) if recipe.same is None else recipe.same
         rest = recipe.rest
         if rest is None:
@@ -380,7 +379,7 @@ def _without_rest(piece: Piece, rest: float, first: bool) -> Piece:
     if not rest:
         return piece
     resting = [_size(one) < rest for one in piece.segments]
-    if first and len(resting) and resting[0]:
+    if first and resting:
         resting[0] = False
     pairs = list(zip(piece.segments, resting, strict=True))
     return replace(

@@ -398,10 +398,8 @@ def widened(table: RawTable) -> RawTable:
     if sum(not triple.quantity for triple in triples_of(table)) != 1:
         return table
     time = guess_time(names_of(table))
-    if time is None or not table.holds(time.column):
-        return table
-    whose = _whose(table, time.column)
-    if whose is None:
+    whose = None if time is None else _whose(table, time.column)
+    if time is None or whose is None:
         return table
     frame = pandas().DataFrame(table.columns)
     number = frame[time.column].to_numpy()

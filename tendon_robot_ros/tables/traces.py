@@ -239,7 +239,6 @@ def marker_places(
     for why, hidden in not_visible(table, points).items():
         if (hidden & visible).any():
             unseen[why] = (hidden & visible).sum(axis=0)
-            positions[hidden] = np.nan
             visible &= ~hidden
     positions[~visible] = np.nan
     of_rims = np.split(positions, np.cumsum([len(rim) for rim in rims])[:-1], axis=1)
