@@ -33,6 +33,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from scipy.special import softmax
 
 from ..common.arrays import Floats
 from ..common.estimation import KalmanUpdate, kalman_update
@@ -162,8 +163,7 @@ class RecursiveEstimate:
             one.mean, one.covariance = fits[-1].mean, fits[-1].covariance
             one.keep_within(self.low, self.high)
         logs = MEMORIES[1] * np.log(self.weights) + [fit.log_likelihood for fit in fits]
-        weights = np.exp(logs - logs.max())
-        weights = weights / weights.sum() + ODD_PROBABILITY  # no filter is excluded for good
+        weights = softmax(logs) + ODD_PROBABILITY  # no filter is excluded for good
         self.weights = weights / weights.sum()
 
     def fits(self, off: Floats, columns: Floats, noise: Floats, remainder: Floats) -> float:

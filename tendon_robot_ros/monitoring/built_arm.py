@@ -28,9 +28,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import Bools, Floats
 from ..common.estimation import kalman_update
 from ..data import DataSet, Marker
 from ..effects import Catalogue, Effect
@@ -43,7 +42,6 @@ from ..robot import Robot
 from ..robot.estimates import bend_rates, end_sections, natural_sizes
 from .references import Reference, contradicted, log_likelihood, widening
 
-Bools = npt.NDArray[np.bool_]
 # [1] 1 sd of the remainder at the tip, of the length, and of a measured tension; factors of three,
 # because the likelihood resolves no finer ones
 RELATIVE_ERRORS = 0.0, 0.0003, 0.001, 0.003, 0.01

@@ -24,6 +24,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import softmax
 
 from ..common.arrays import Bools, Floats
 from ..common.estimation import gauss_newton
@@ -386,5 +387,4 @@ class ChangeFinder:
 
     def _probabilities(self) -> Floats:
         logs = np.array([fit.log for fit in self.fits])
-        odds = np.exp(logs - logs.max()) if len(logs) else logs
-        return np.asarray(odds / odds.sum()) if len(odds) else odds
+        return np.asarray(softmax(logs)) if len(logs) else logs

@@ -28,10 +28,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import make_interp_spline
+from scipy.special import softmax
 
-from ..common.arrays import Floats
+from ..common.arrays import Bools, Floats
 from ..common.estimation import CONVERGED_SD, ITERATIONS_MAX, gauss_newton
 from ..inference.imperfections import PLAUSIBLE_SIZES, ZERO, forces_along
 from ..inference.predict import FreeParameter, SettledShapes, free_parameters
@@ -159,11 +159,10 @@ class ContactObserver:
         return where | dict(zip(self._frees, values, strict=True))
 
     def predicted(
-        self, force: Floats, inputs: Floats, markers: bool, place: float | None = None
+        self, force: Floats, inputs: Floats, markers: bool, place: float
     ) -> Floats | None:
-        """Return markers (3 J,) or wire pulls (m,) [m] under a force (3,) [N] (at the tip)."""
-        point = self.point(force, self.tip if place is None else place)
-        last = self.shapes
+        """Return markers (3 J,) or wire pulls (m,) [m] under a force (3,) [N] at a place [m]."""
+        point, last = self.point(force, place), self.shapes
         near = None if last is None else SettledShapes(last.inputs, last.state)
         shapes = self.arm.shapes(inputs, point, near)
         if shapes is None:
@@ -408,8 +407,7 @@ class _Fit:
                 logs.append(-0.5 * (residual @ residual / wider + place @ place / prior**2))
             if not places:
                 return force, np.asarray(axes * values @ axes.T)
-            weights = np.exp(np.array(logs) - max(logs))
-            weights /= weights.sum()
+            weights = softmax(logs)
             before, force = force, weights @ np.array(places)
             if abs(worst @ (force - before)) < CONVERGED_SD * sd:
                 break
@@ -447,7 +445,7 @@ class _Fit:
             columns = arm.columns(self.inputs, observer.point(force, place))
             if columns is None:
                 return None
-            free, moved = observer.predicted(np.zeros(3), self.inputs, True), 0.0
+            free, moved = self._predicted(np.zeros(3), observer.tip), 0.0
             if free is not None:  # motion by the load at the marker that moves most
                 off = self.measured - free - arm.lacked(columns)
                 off = np.linalg.norm(off.reshape(-1, 3), axis=1)
@@ -465,6 +463,6 @@ class _Motions:
 
     columns: Floats  # (3 J, q) [m] motion by imperfections
     known: Floats  # covariance of the imperfections
-    rows: npt.NDArray[np.bool_]  # (3 J,) of visible coordinates
+    rows: Bools  # (3 J,) of visible coordinates
     expected: Floats  # (3 J,) [m]
     moved: float  # [m] motion of the arm by the load

@@ -15,7 +15,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import DataSetError, InputError, NoEquilibriumError
 from ..data import DataSet, Marker, default_markers
-from ..inference.statistics import RARE, chi2_isf, mean_over
+from ..inference.statistics import RARE, chi2_isf, mean_over, root_mean
 from ..robot import Robot
 from ..robot.estimates import INPUT_TOLERANCE
 
@@ -135,9 +135,7 @@ class StillWindow:
         """Return the means over the window if it is full and the arm was at rest, else None."""
         if not self._frames or self._frames[-1][0] - self._frames[0][0] < 0.8 * self.duration:
             return None
-        times = np.array([frame[0] for frame in self._frames])
-        inputs = np.array([frame[1] for frame in self._frames])
-        positions = np.array([frame[2] for frame in self._frames])
+        times, inputs, positions = (np.array(part) for part in zip(*self._frames, strict=True))
         early = times < times[-1] - self.duration / 2
         if min(early.sum(), (~early).sum()) < FRAMES_PER_HALF_MIN:
             return None
@@ -345,8 +343,7 @@ class Monitor:
             self._tips.append((time, size))
         while self._tips and self._tips[0][0] < time - self.settings.rolling:
             self._tips.popleft()
-        squares = [one**2 for _, one in self._tips]
-        rolling = float(np.sqrt(np.mean(squares))) if squares else float('nan')
+        rolling = root_mean(np.array([one**2 for _, one in self._tips]))
         return Compared(positions, points, rolling)
 
     def new_posture(self) -> StillMeasurement | None:

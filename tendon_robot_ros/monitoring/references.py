@@ -26,13 +26,11 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
-import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import Bools, Floats
 from ..data.arrays import SAMPLES_MIN
 from ..inference.outliers import outlier_limits
 
-Bools = npt.NDArray[np.bool_]
 # [1] lengths of batches of successive postures, because correlated innovations appear only in the
 # sums
 BATCHES = 1, 4, 8

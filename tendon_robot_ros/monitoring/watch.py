@@ -125,8 +125,6 @@ class DriftAlarm:
             place = slice(begin, begin + len(change.spread))
             self._places.append(place)
             self._spread[place] = change.spread
-        self.state = DriftState(False, 0.0, 0)
-        self.finder: ChangeFinder | None = None  # after an alarm
         self.restart()
 
     def restart(self) -> None:
@@ -134,8 +132,8 @@ class DriftAlarm:
         self._change_points, self._count = list[_ChangePoint](), 0
         self._recent: deque[_Posture] = deque(maxlen=JUDGED_POSTURES * CHANGE_POINTS_MAX)
         self._single: int | None = None  # number of a single outlier
-        self.finder, self._since_alarm = None, 0
-        self.state = DriftState(False, 0.0, 0)
+        self.finder: ChangeFinder | None = None  # after an alarm
+        self._since_alarm, self.state = 0, DriftState(False, 0.0, 0)
 
     def update(self, tensions: Floats, positions: Floats, frames: int = 1) -> DriftState:
         """
