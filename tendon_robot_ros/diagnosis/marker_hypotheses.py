@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from ..common.words import mm
 from ..data import DataSet
 from ..inference.marginal import NEGLIGIBLE
 from ..inference.predict import Predictor
+from ..inference.statistics import mean_over
 from ..robot import Robot
 from .setup_hypotheses import Mistake, as_unit, evaluated, times
 from .verdict import MISTAKEN_RATIO_MIN, QUIET_FLOORS, RESIDUAL_RATIO_MAX
@@ -121,21 +123,20 @@ def exchanged(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     order[list(pairs[k])] = pairs[k][::-1]
     positions = np.where(where[..., None, None], dataset.positions[:, :, order], dataset.positions)
     a, b = (dataset.markers[i].name for i in pairs[k])
-    if where.sum() == dataset.trials.sum():
-        which = ''
-    else:
+    which = ''
+    if where.sum() != dataset.trials.sum():
         p, q = np.argwhere(where)[0]
         first = f'posture {dataset.postures[p]} trial {dataset.trial_names[q]}'
         which = f' in {int(where.sum())} of {int(dataset.trials.sum())} trials, {first} the first'
-    for one in evaluated(
+    yield from evaluated(
         predictor,
         markers,
         'markers_exchanged',
         f'with markers {a} and {b} exchanged{which}',
         'exchange their names there in shapes.csv',
+        certain=True,
         positions=positions,
-    ):
-        yield replace(one, certain=True)
+    )
 
 
 def exchanged_in(predictor: Predictor) -> Mistake | None:
@@ -151,10 +152,8 @@ def _distances(places: Floats) -> Floats:
 
 def _off(measured: Floats, expected: Floats) -> Floats:
     """Return the rms error (P, Q) [m] of distances; 0 where none was measured."""
-    squares = (measured - expected) ** 2
-    finite = np.isfinite(squares)
-    count = np.maximum(finite.sum(axis=(2, 3)), 1)
-    return np.asarray(np.sqrt(np.where(finite, squares, 0.0).sum(axis=(2, 3)) / count))
+    squares = ((measured - expected) ** 2).reshape(*measured.shape[:2], -1)
+    return np.nan_to_num(np.sqrt(mean_over(squares, 2)))
 
 
 def miscounted(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
@@ -196,17 +195,25 @@ def _counted(predictor: Predictor, s: int, count: int, length: float) -> Iterato
         moved = tuple(
             replace(m, arc_length=at) for m, at in zip(dataset.markers, places, strict=True)
         )
-        mended = replace(dataset, robot=longer, markers=moved)
-        yield from evaluated(
+        yield from _otherwise_described(
             predictor,
-            Predictor(mended, longer, predictor.model.catalogue).markers({}),
             'cells',
             f'with {count} cells{each} instead of {section.cells} in {place} (markers {where})',
             f'count the cells of {place}',
-            True,
             robot=longer,
             markers=moved,
         )
+
+
+def _otherwise_described(
+    predictor: Predictor, name: str, sentence: str, mend: str, **changes: Any
+) -> Iterator[Mistake]:
+    """Try another description of the markers, or of the arm; effects may explain as much."""
+    mended = replace(predictor.dataset, **{'robot': predictor.robot, **changes})
+    expected = Predictor(mended, mended.robot, predictor.model.catalogue).markers({})
+    yield from evaluated(
+        predictor, expected, name, sentence, mend, True, dataset=mended, **changes
+    )
 
 
 def spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
@@ -242,16 +249,16 @@ def by_distances(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     scale = float(np.median(straightest / apart))
     if not 1.0 / MISTAKEN_RATIO_MIN < scale < MISTAKEN_RATIO_MIN:
         factor = as_unit(1.0 / scale)
-        for one in evaluated(
+        yield from evaluated(
             predictor,
             markers,
             'unit_of_positions',
             f'neighbouring markers are {scale:.3g} times as far apart as described: with all '
             f'positions {times(factor)}',
             'check their unit in shapes.csv [m], and arc_length of the markers in dataset.yaml',
+            certain=True,
             positions=factor * dataset.positions,
-        ):
-            yield replace(one, certain=True)
+        )
         return
     more = (ratio - 1.0) * apart  # [m] additional arm between neighbours
     for k, j in enumerate(order):
@@ -275,14 +282,11 @@ def _elsewhere(predictor: Predictor, places: Floats, sentence: str) -> Iterator[
             dataset.markers, inside.tolist(), (places - inside).tolist(), strict=True
         )
     )
-    mended = replace(dataset, robot=predictor.robot, markers=moved)
-    yield from evaluated(
+    yield from _otherwise_described(
         predictor,
-        Predictor(mended, predictor.robot, predictor.model.catalogue).markers({}),
         'markers_elsewhere',
         sentence,
         'check arc_length of the markers in dataset.yaml, from the base along the arm, '
         'and the number of cells',
-        True,
         markers=moved,
     )

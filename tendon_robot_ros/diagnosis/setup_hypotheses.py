@@ -125,6 +125,7 @@ def evaluated(
     sentence: str,
     mend: str,
     doubtful: bool = False,
+    certain: bool = False,
     dataset: DataSet | None = None,
     **changes: Any,
 ) -> Iterator[Mistake]:
@@ -133,7 +134,8 @@ def evaluated(
         return
     mended = replace(dataset or predictor.dataset, **{'robot': predictor.robot, **changes})
     mended = in_frame(predictor, mended, predicted)
-    yield Mistake(name, sentence, mend, rms(mended.mean - predicted), mended, doubtful)
+    after = rms(mended.mean - predicted)
+    yield Mistake(name, sentence, mend, after, mended, doubtful, certain=certain)
 
 
 def times(factor: float) -> str:
@@ -397,9 +399,7 @@ def dead_inputs(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     if spans.max() < 10.0 * NEGLIGIBLE * largest:
         return
     for j in np.flatnonzero(spans < NEGLIGIBLE * largest).tolist():
-        one = _dead(predictor, j, {})
-        if one is not None:
-            yield one
+        yield from filter(None, [_dead(predictor, j, {})])
 
 
 def _dead(predictor: Predictor, j: int, point: Point) -> Mistake | None:

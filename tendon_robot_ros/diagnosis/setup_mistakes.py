@@ -92,12 +92,8 @@ Hypothesis = Callable[[Predictor, Floats], Iterable[Mistake]]
 WEIGHT = ('gravity', 'linear_density')  # known from a scale, so that no tolerance is a factor
 
 
-OF_INPUTS = (
-    swapped_inputs,
-    wrong_units,
-    wrong_offsets,
-    wrong_stiffness,
-)  # that can be why there is no equilibrium
+# that can be why there is no equilibrium
+OF_INPUTS = (swapped_inputs, wrong_units, wrong_offsets, wrong_stiffness)
 
 
 def find_mistake(predictor: Predictor, floor: float, usual: float = 0.0) -> Mistake | None:
@@ -128,12 +124,12 @@ def find_mistake(predictor: Predictor, floor: float, usual: float = 0.0) -> Mist
     tries = _possible(
         HYPOTHESES if before > 2.0 * ODD_FROM_FLOORS * floor else DISCRETE, predictor.dataset
     )
-    enough = max(RESIDUAL_RATIO_USUAL * before, QUIET_FLOORS * floor, 2.0 * usual)
     mistakes = few + [one for kind in tries for one in kind(predictor, markers)]
     certain = next((one for one in mistakes if one.certain), None)
     if certain is not None:
         return certain
-    enough = min(enough, RESIDUAL_RATIO_MAX * before)
+    usually = max(RESIDUAL_RATIO_USUAL * before, QUIET_FLOORS * floor, 2.0 * usual)
+    enough = min(usually, RESIDUAL_RATIO_MAX * before)
     likely = [one for one in mistakes if one.after < min(enough, one.residual_max)]
     return _plainest(likely, max(floor, 0.3 * usual))
 
@@ -206,12 +202,9 @@ def _frozen(predictor: Predictor, markers: Floats, floor: float) -> Mistake | No
         'frozen_marker',
         f'marker {name} stands still while the arm moves; without it',
         f'take the rows of marker {name} out',
-        dataset=replace(
-            dataset,
-            markers=tuple(m for m, kept in zip(dataset.markers, keep, strict=True) if kept),
-            positions=dataset.positions[:, :, keep],
-            orientations=None,
-        ),
+        markers=tuple(m for m, kept in zip(dataset.markers, keep, strict=True) if kept),
+        positions=dataset.positions[:, :, keep],
+        orientations=None,
     )
     return one
 
@@ -359,10 +352,8 @@ class Mended:
 
     def possible(self, quiet: bool) -> str:
         """Return the sentence of a possible mistake; `quiet` where effects explain as much."""
-        effects, error = (
-            listed(self.explained.names) or 'no effect',
-            mm(self.explained.residual),
-        )
+        effects = listed(self.explained.names) or 'no effect'
+        error = mm(self.explained.residual)
         text = f'{self.mistake.sentence} and {effects} the error would fall to {error}'
         if quiet:
             return f'{text} as well: check which is right, values of {effects} depend on it'
@@ -371,6 +362,7 @@ class Mended:
 
 def _rivals(
     predictor: Predictor,
+    markers: Floats,
     explaining: Explaining,
     described: Explained,
     floor: float,
@@ -386,6 +378,8 @@ def _rivals(
     ----------
     predictor : Predictor
         Of the description as it stands.
+    markers : (P, J, 3) [m]
+        Its prediction.
     explaining : Explaining
     described : Explained
         The data set as it is with its best effects.
@@ -395,9 +389,6 @@ def _rivals(
         Called with (what, done, total).
 
     """
-    markers = predictor.markers({})
-    if markers is None:
-        return []
     kinds: dict[str, list[Mistake]] = {}
     if not described.quiet:
         kinds['alone'] = alone(predictor, markers, floor)
@@ -456,9 +447,7 @@ def mended_rivals(session: Session, enough: float) -> tuple[Explained | None, li
         dataset = dataset.thinned(SCREENED_POSTURES)
         predictor = Predictor(dataset, session.robot, session.catalogue)
     markers = predictor.markers({})
-    if markers is None:
-        return None, []
-    if off(predictor, dataset.mean, markers) < ODD_FROM_FLOORS * floor:
+    if markers is None or off(predictor, dataset.mean, markers) < ODD_FROM_FLOORS * floor:
         return None, []
     enough = min(enough, QUIET_FLOORS * floor)
     explaining = Explaining(session.catalogue, session.usual_floor)
@@ -471,7 +460,7 @@ def mended_rivals(session: Session, enough: float) -> tuple[Explained | None, li
     else:
         described = explaining.explain(dataset, EFFECTS_MAX, floor)
         assert described is not None
-    return described, _rivals(predictor, explaining, described, floor, session.progress)
+    return described, _rivals(predictor, markers, explaining, described, floor, session.progress)
 
 
 def implausible(diagnosis: Diagnosis) -> list[str]:
