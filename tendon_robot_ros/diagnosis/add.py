@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import date
 from functools import reduce
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 
 from ..common.errors import InputError, NoEquilibriumError, refusal
 from ..common.processes import one_thread
-from ..common.results import TextResult, make_frame
+from ..common.results import TextResult, make_frame, plain
 from ..data import DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..inference.candidates import Candidate, is_tested, why_untested
@@ -23,7 +23,7 @@ from ..inference.intervals import LoadVector, Value, loads_of, values_with_inter
 from ..inference.predict import Point, free_parameters
 from ..inference.session import Question, Session
 from ..robot import Robot, RobotLike, load_robot
-from .result import EffectFinding
+from .result import EffectFinding, found_values
 from .verdict import P_SINGLE_MIN
 
 
@@ -68,20 +68,18 @@ class Addition(TextResult):
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data for JSON."""
-        return {
-            'effects': {
-                name: {key: vars(value) for key, value in values.items()}
-                for name, values in self.values.items()
-            },
-            'loads': {name: asdict(load) for name, load in self.loads.items()},
-            'fitted': self.fitted.to_json(),
-            'check': self.check.to_json(),
+        content = {
+            'effects': self.values,
+            'loads': self.loads,
+            'fitted': self.fitted,
+            'check': self.check,
             'probability': self.probability,
             'moved': self.moved,
             'beside': self.beside,
             'more_at_work': self.more_at_work,
             'model_error': self.model_error,
         }
+        return dict(plain(content))
 
 
 def with_origin(addition: Addition, before: Robot) -> Robot:
@@ -207,11 +205,9 @@ def add_effects(
     other = None if check is None else load_dataset(check, described)
     session = Question.of(dataset, described, load_catalogue(catalogue)).prepared()
     dataset = session.dataset
-    by_name, point = {effect.name: effect for effect in start}, None
-    if set(names) <= set(by_name):
-        own = [_candidate(session, name, by_name[name].parameters) for name in names]
-        frees = _together(own).frees
-        point = {free: by_name[free.effect].parameters[free.key].value for free in frees}
+    found, point = [effect for effect in start if effect.name in names], None
+    if set(names) <= {effect.name for effect in found}:
+        point = found_values(found, session.catalogue, session.robot)
     settled = settle(session, names, point)
     session, fit, descriptions = settled.session, settled.fit, settled.descriptions
     probability, scale = settled.probability, settled.scale
@@ -402,16 +398,8 @@ def _refuse_untested(session: Session, candidate: Candidate, fit: Fit | None) ->
     effect = session.catalogue[candidate.names[0]]
     point = {} if fit is None else fit.point
     markers = session.predictor.markers(point)
-    acts = (
-        effect.acts_on is None
-        or effect.acts_on in session.robot.effects
-        or any(free.effect == effect.acts_on for free in point)
-    )
-    if (
-        acts
-        and markers is not None
-        and is_tested(candidate, session.predictor, session.whitener, point, markers)
-    ):
+    weighed = session.predictor, session.whitener, point
+    if markers is not None and is_tested(candidate, *weighed, markers):
         return
     reason = why_untested(effect, session.dataset, session.robot)
     raise InputError(

@@ -348,9 +348,8 @@ class Searched:
     paths: list[list[State]]  # of the searches without each fold, the last state again and again
     errors: Floats  # (K, P, J) [m²] after 0, 1, ... steps
     taken: int  # steps
-    chosen: (
-        Floats  # (P, J) [m²] after as many steps as a search that did not know the posture took
-    )
+    # (P, J) [m²] after as many steps as a search that did not know the posture took
+    chosen: Floats
     check: DataSet | None
     arm: AsFound | None = None  # the arm after the steps that are taken; None: it is exact
     last: Floats | None = None  # (P, J) [m²] with the arm as found; None: not tried

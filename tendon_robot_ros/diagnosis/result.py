@@ -146,21 +146,12 @@ class Diagnosis(TextResult):
         Columns `effect`, `status`, `present`, `parameter`, `value`, `low`, `high`, `unit`, and of
         the effect `error` and `held_out` [m], `explained` and `probability` [1].
         """
+        of_value = ('value', 'low', 'high', 'unit')
+        of_effect = ('error', 'held_out', 'explained', 'probability')
         rows = [
-            {
-                'effect': row.name,
-                'status': row.status,
-                'present': row.present,
-                'parameter': key,
-                'value': value.value,
-                'low': value.low,
-                'high': value.high,
-                'unit': value.unit,
-                'error': row.error,
-                'held_out': row.held_out,
-                'explained': row.explained,
-                'probability': row.probability,
-            }
+            {'effect': row.name, 'status': row.status, 'present': row.present, 'parameter': key}
+            | {name: getattr(value, name) for name in of_value}
+            | {name: getattr(row, name) for name in of_effect}
             for row in self.candidates
             for key, value in row.parameters.items()
         ]
@@ -322,40 +313,15 @@ class Improvement(TextResult):
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data for JSON; errors are rms [m] over postures, one per marker."""
+        names = {'values': 'effects'}  # in files; the description is a file of its own
+        own = {names.get(key, key): value for key, value in vars(self).items() if key != 'robot'}
         steps = [
-            {
-                'joined': step.joined,
-                'left': list(step.left),
-                'fall': step.fall,
-                'scatter': step.scatter,
-                **{kind.replace(' ', '_'): one.tolist() for kind, one in step.errors.items()},
-            }
+            {key: getattr(step, key) for key in ('joined', 'left', 'fall', 'scatter')}
+            | {kind.replace(' ', '_'): errors for kind, errors in step.errors.items()}
             for step in self.steps
         ]
-        values = {
-            name: {key: vars(value) for key, value in items.items()}
-            for name, items in self.values.items()
-        }
-        return {
-            'format': IMPROVEMENT_FORMAT,
-            'steps': steps,
-            'taken': self.taken,
-            'chosen': self.chosen.tolist(),
-            'effects': values,
-            'loads': {name: asdict(load) for name, load in self.loads.items()},
-            'profile': list(self.profile),
-            'routes': {name: list(change) for name, change in self.routes.items()},
-            'markers': list(self.markers),
-            'data': self.data,
-            'check': self.check,
-            'noise_floor': self.noise_floor,
-            'probability': self.probability,
-            'more_at_work': self.more_at_work,
-            'tips': self.tips,
-            'local_faults': list(self.local_faults),
-            'as_built': self.as_built,
-            **self.left_out,
-        }
+        excluded = own.pop('left_out')
+        return dict(plain({'format': IMPROVEMENT_FORMAT, **own, 'steps': steps, **excluded}))
 
 
 def total(per_marker: Floats) -> float:
