@@ -13,7 +13,6 @@ stiffness that no cell can have, the cause is not a place's, and no weaker one i
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
@@ -40,7 +39,7 @@ from ..inference.intervals import QUANTILE
 from ..inference.marginal import NEGLIGIBLE
 from ..inference.noise import Whitener
 from ..inference.predict import CELLS
-from ..inference.statistics import chi2_isf, false_discovery_control, t_sf
+from ..inference.statistics import chi2_isf, false_discovery_control, normal_cdf, t_sf
 from ..robot import Robot
 from .verdict import FALSE_DISCOVERY_RATE, P_SEVERAL_MIN
 
@@ -166,7 +165,7 @@ def faults_among(
     chosen, rates = list[int](), list[float]()
     while len(chosen) < FAULTS_MAX:
         z, _ = tests.beside(chosen)
-        rate = _rates(places, z, np.isfinite(z), freedom)
+        rate = _rates(places, z, freedom)
         lowest = np.flatnonzero(rate <= rate.min(initial=1.0))
         if not len(lowest) or rate[lowest[0]] > FALSE_DISCOVERY_RATE:
             break
@@ -268,24 +267,19 @@ class _Tests:
         ]
 
 
-def _rates(
-    places: Sequence[Place], z: Floats, known: npt.NDArray[np.bool_], freedom: float
-) -> Floats:
+def _rates(places: Sequence[Place], z: Floats, freedom: float) -> Floats:
     """Return the false discovery rate (M,) at which each place would just be named."""
     families: dict[tuple[str, bool], list[int]] = {}
-    for i in np.flatnonzero(known).tolist():
+    for i in np.flatnonzero(np.isfinite(z)).tolist():
         families.setdefault((places[i].kind, places[i].posture is None), []).append(i)
     rates = np.ones(len(places))
     for members in families.values():
-        p = np.ones(len(members))  # of places that are not significant
-        for i, size in enumerate(np.abs(z[members]).tolist()):
-            if size > QUANTILE:
-                p[i] = (
-                    t_sf(size, freedom)
-                    if np.isfinite(freedom)
-                    else 0.5 * math.erfc(size / math.sqrt(2.0))
-                )
-                p[i] *= 2.0
+        sizes, p = np.abs(z[members]), np.ones(len(members))
+        odd = sizes > QUANTILE  # the p-values of the others decide nothing
+        if np.isfinite(freedom):
+            p[odd] = [2.0 * t_sf(size, freedom) for size in sizes[odd].tolist()]
+        else:
+            p[odd] = 2.0 * normal_cdf(-sizes[odd])
         rates[members] = np.minimum(len(families) * false_discovery_control(p), 1.0)
     return rates
 

@@ -102,14 +102,11 @@ def blocks_of(robot: Robot, markers: int) -> list[tuple[int, int]]:
     A base plate, which does not bend, is in none.
     """
     parts = max(1, min(BLOCKS_PER_SECTION, markers // max(len(robot.own_sections), 1)))
-    edges, start = [], 0
+    edges, start = list[tuple[int, int]](), 0
     for section in robot.sections:
-        if section.is_plate:
-            start += section.cells
-            continue
-        cuts = np.linspace(start, start + section.cells, min(parts, section.cells) + 1)
-        whole = cuts.round().astype(int).tolist()
-        edges += list(pairwise(whole))
+        if not section.is_plate:
+            cuts = np.linspace(start, start + section.cells, min(parts, section.cells) + 1)
+            edges += pairwise(cuts.round().astype(int).tolist())
         start += section.cells
     return edges
 
@@ -129,8 +126,8 @@ class _Arm:
         self.arc_lengths = dataset.arc_lengths
         self.markers = shapes.markers(dataset.arc_lengths, dataset.offsets)
         self.axes = self._axes()
-        towards = np.stack([-self.axes[..., 1], self.axes[..., 0]], axis=-1)
-        self.towards = -towards  # (b, n, 2): z x u is the axis
+        # (b, n, 2): z x u is the axis
+        self.towards = np.stack([self.axes[..., 1], -self.axes[..., 0]], axis=-1)
 
     def _axes(self) -> Floats:
         """Axis (b, n, 3) of every cell's bend in its own frame; of the posture where straight."""
@@ -177,8 +174,8 @@ class _Arm:
 
     def sideways(self, p: int, residual: Floats) -> Floats:
         """Deviation (J,) [m] of the markers towards the bend."""
-        cells = np.minimum(np.searchsorted(self.middle, self.arc_lengths), len(self.middle)) - 1
-        cells = np.maximum(cells, 0)
+        cells = np.searchsorted(self.middle, self.arc_lengths) - 1
+        cells = cells.clip(0, len(self.middle) - 1)
         axes = np.einsum('jrc,jc->jr', self.frames[p][cells], self.axes[p][cells])
         tangents = self.shapes.frames[p][cells][..., 2]
         return np.asarray((residual * np.cross(axes, tangents)).sum(axis=1))

@@ -282,6 +282,7 @@ def _row(fits: Fits, decision: Concluded, ranked: Ranked, errors: FittedErrors) 
 def details_of(fits: Fits, decision: Concluded) -> dict[str, Any]:
     """Return the numbers that reports print beside the verdict."""
     session, base, chosen = fits.session, fits.base, decision.chosen
+    taken = session.dataset.reference
     fit = base if chosen is None else fits.reported(chosen)
     outside = decision.verdict is Verdict.OUTSIDE_CATALOGUE
     details: dict[str, Any] = measured_with(session) | {
@@ -302,11 +303,8 @@ def details_of(fits: Fits, decision: Concluded) -> dict[str, Any]:
         'relative_to_remainder': decision.scale if outside else None,
         'accuracy': session.accuracy if session.use_accuracy else None,
         'model_error': session.robot.model_error,
-        'reference': None,
+        'reference': taken and {'data': taken.name, 'error': taken.error},
     }
-    if session.dataset.reference is not None:
-        taken = session.dataset.reference
-        details['reference'] = {'data': taken.name, 'error': taken.error}
     if decision.rival is not None:
         names = 'name', 'deviance', 'parameters'
         details['rival'] = {name: getattr(decision.rival, name) for name in names}

@@ -20,7 +20,6 @@ from ..inference.noise import Noise
 from ..inference.predict import FreeParameter, Point, Predictor
 from ..inference.session import Question
 from ..inference.statistics import chi2_noncentrality
-from ..robot import Robot
 from .select import gather
 from .verdict import ALARM_LEVEL, is_alarming
 
@@ -134,8 +133,8 @@ def assess(
         None where the noise is neither declared nor measured by repeated trials.
 
     """
-    robot, show = dataset.robot, listener(progress)
-    question = Question.of(dataset, robot, load_catalogue(files))
+    show = listener(progress)
+    question = Question.of(dataset, dataset.robot, load_catalogue(files))
     if question.predictor.markers({}) is None:
         return None
     try:
@@ -151,18 +150,19 @@ def assess(
         (10_000 + i, hidden[i % len(hidden)].free, hidden[i % len(hidden)].size or 0.0)
         for i in range(runs // 2 if hidden else 0)
     ]
-    job = Job(dataset, robot, session.noise, tuple(files))
-    start, quiet, loud = time.monotonic(), Tally(), Tally()
+    job = Job(dataset, session.noise, tuple(files))
+    start = time.monotonic()
 
     def note(what: str) -> None:
         show(f'{what} [s]', min(round(time.monotonic() - start), round(seconds)), round(seconds))
 
     with Workers(workers) as spread:
         early, late = start + 0.65 * seconds, start + seconds
-        quiet.collect(spread.run(job.alarm, clean, early), 'simulated with nothing missing', note)
-        loud.collect(spread.run(job.alarm, sized, late), 'simulated with an effect', note)
-    low, high = wilson(quiet.hits, quiet.runs)
-    return Trust(quiet.runs, quiet.hits, low, high, smallest, loud.runs, loud.hits)
+        quiet = spread.run(job.alarm, clean, early)
+        count, alarms = counted(quiet, 'simulated with nothing missing', note)
+        loud = spread.run(job.alarm, sized, late)
+        checked, detected = counted(loud, 'simulated with an effect', note)
+    return Trust(count, alarms, *wilson(alarms, count), smallest, checked, detected)
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,6 @@ class Job:
     """What every simulation needs; goes to the worker processes."""
 
     dataset: DataSet
-    robot: Robot
     noise: Noise
     files: tuple[str, ...]
 
@@ -178,7 +177,7 @@ class Job:
         """Return whether a simulated data set raises the alarm; None without equilibrium."""
         seed, free, size = task
         catalogue = load_catalogue(self.files)
-        question = Question.of(self.dataset, self.robot, catalogue)
+        question = Question.of(self.dataset, self.dataset.robot, catalogue)
         random = np.random.default_rng([seed, 71])
         point: dict[FreeParameter, float] = {
             n.free: float(random.normal(n.centre, n.spread)) for n in question.nuisances
@@ -210,22 +209,17 @@ def simulated_measurements(
     return replace(dataset, positions=np.where(dataset.mask[..., None], positions, np.nan))
 
 
-@dataclass
-class Tally:
-    """Simulated data sets, and how many raised the alarm."""
-
-    runs: int = 0
-    hits: int = 0
-
-    def collect(
-        self, alarms: Iterable[tuple[int, object]], what: str, note: Callable[[str], None]
-    ) -> None:
-        """Count the simulations; those without equilibrium do not count."""
-        note(f'0 {what}')
-        for _, alarm in alarms:
-            self.runs += isinstance(alarm, bool)
-            note(f'{self.runs} {what}')
-            self.hits += alarm is True
+def counted(
+    simulated: Iterable[tuple[int, object]], what: str, note: Callable[[str], None]
+) -> tuple[int, int]:
+    """Return how many simulations had an equilibrium, and how many of them raised the alarm."""
+    runs = hits = 0
+    note(f'0 {what}')
+    for _, alarm in simulated:
+        runs += isinstance(alarm, bool)
+        note(f'{runs} {what}')
+        hits += alarm is True
+    return runs, hits
 
 
 def wilson(hits: int, runs: int) -> tuple[float, float]:
