@@ -271,8 +271,7 @@ def open_motor(args: argparse.Namespace) -> tuple[Bus, Motor, Any]:
     wire = replace(chosen(args, config.motors), tension_limit=heaviest)
     motor = Motor(wire.motor, (wire,), 'pull')
     bus = Bus(config.port, config.baudrate, config.answer_time)
-    bus.open()
-    shake_hands(bus, config, {wire.motor: motor})
+    bus.open(lambda: shake_hands(bus, config, {wire.motor: motor}))
     return bus, motor, wire
 
 

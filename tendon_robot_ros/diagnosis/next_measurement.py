@@ -86,30 +86,32 @@ def input_grid(dataset: DataSet, limits: tuple[float, float]) -> Floats:
     return grid[grid.sum(axis=1) <= 2.0 * max(used.sum(axis=1).max(), used.max())]
 
 
-def _posture_set(
-    session: Session, inputs: Floats, gravity: list[float] | None, after: Floats | None
-) -> DataSet:
-    """Return a data set of the grid without measurements, as if measured once."""
-    old = session.dataset
+def as_if_measured(
+    like: DataSet, inputs: Floats, after: Floats | None = None, trials: int = 1
+) -> tuple[DataSet, slice]:
+    """
+    Return postures (b, m) as a data set without readings, and which of its postures they are.
+
+    Loaded from straight, or each from the same posture `after` (m,).
+    """
+    shown = slice(None)
     if after is not None:
-        inputs = np.stack([np.broadcast_to(after, inputs.shape), inputs], axis=1).reshape(
-            -1, inputs.shape[1]
-        )
-    shape = (len(inputs), 1, len(old.markers), 3)
-    return replace(
-        old,
-        postures=tuple(str(i) for i in range(len(inputs))),
+        pairs = np.stack([np.broadcast_to(after, inputs.shape), inputs], axis=1)
+        inputs, shown = pairs.reshape(-1, inputs.shape[1]), slice(1, None, 2)
+    dataset = replace(
+        like,
+        postures=tuple(map(str, range(len(inputs)))),
         inputs=inputs,
-        positions=np.zeros(shape),
+        positions=np.zeros((len(inputs), trials, len(like.markers), 3)),
         orientations=None,
         path='from_straight' if after is None else 'sequence',
         visits=None,
         parts=(),
         part=None,
         trial_inputs=None,
-        trial_names=('0',),
-        gravity=old.gravity if gravity is None else (gravity[0], gravity[1], gravity[2]),
+        trial_names=(),
     )
+    return dataset, shown
 
 
 def _compare(
@@ -120,10 +122,11 @@ def _compare(
     after: Floats | None,
 ) -> tuple[float, NextMeasurement] | None:
     """Return the separation of the best posture of a grid, and that posture."""
-    grid = _posture_set(session, inputs, gravity, after)
+    grid, shown = as_if_measured(session.dataset, inputs, after)
+    if gravity is not None:
+        grid = replace(grid, gravity=(gravity[0], gravity[1], gravity[2]))
     predictor, arm = predictors_of(grid, session.robot, session.catalogue)
     whitener = Whitener(grid, session.noise, input_slopes(predictor, group[0].fit.point))
-    shown = slice(1, None, 2) if after is not None else slice(None)
     known = list[Known]()
     for ranked in group:
         told = _predicted(arm, ranked.fit)
@@ -131,13 +134,12 @@ def _compare(
             return None
         known.append(told)
     worth = separation(whitener, known)[shown]
-    p = int(np.argmax(worth))
-    row = p * 2 + 1 if after is not None else p
+    row = int(np.arange(len(grid.postures))[shown][np.argmax(worth)])
     tips = np.array([one.markers[row, -1] for one in known])
     apart = np.linalg.norm(tips[:, None] - tips[None, :], axis=2)
     names, digits = session.robot.inputs, 3 if grid.input == 'tension' else 5
     noise = float(np.sqrt(whitener.variance[row][-3:].sum()))
-    return float(worth[p]), NextMeasurement(
+    return float(worth.max()), NextMeasurement(
         dict(zip(names, grid.inputs[row].round(digits).tolist(), strict=True)),
         None if after is None else dict(zip(names, after.round(3).tolist(), strict=True)),
         gravity,

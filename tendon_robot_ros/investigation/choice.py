@@ -29,6 +29,7 @@ from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError, TendonRobotError
 from ..common.estimation import STEP_LENGTHS
 from ..data import DataSet
+from ..diagnosis.next_measurement import as_if_measured
 from ..diagnosis.stepwise import PRIOR_TYPICALS
 from ..effects import Catalogue
 from ..inference.candidates import nuisances_of
@@ -233,7 +234,11 @@ class LinearDesign:
 
     def offered(self, pool: Floats) -> tuple[list[Floats], list[int]]:
         """Return the whitened rows of the solved postures of a pool, and their indices."""
-        as_if, shown = self.as_if_measured(pool)
+        old = self.measured
+        in_turn = old.path == 'sequence' and len(old.postures)
+        after = np.nan_to_num(old.inputs[-1]) if in_turn else None
+        trials = max(old.positions.shape[1], 1)
+        as_if, shown = as_if_measured(old, pool, after, trials)
         predictor = Predictor(as_if, self.robot, self.catalogue)
         if predictor.markers(self.question.point) is None:
             if shown != slice(None):
@@ -280,25 +285,6 @@ class LinearDesign:
             )
             return 0.5 * float(np.log(before / after))
         return 0.5 * (information(precision, rows) - information(precision[k:, k:], rows[:, k:]))
-
-    def as_if_measured(self, pool: Floats) -> tuple[DataSet, slice]:
-        """Return the pool as a data set, and which postures of it are those of the pool."""
-        old, inputs, shown = self.measured, pool, slice(None)
-        if old.path == 'sequence' and len(old.postures):
-            last = np.broadcast_to(np.nan_to_num(old.inputs[-1]), pool.shape)
-            inputs = np.stack([last, pool], axis=1).reshape(-1, pool.shape[1])
-            shown = slice(1, None, 2)
-        trials = max(old.positions.shape[1], 1)
-        dataset = replace(
-            old,
-            postures=tuple(map(str, range(len(inputs)))),
-            inputs=inputs,
-            positions=np.zeros((len(inputs), trials, len(old.markers), 3)),
-            orientations=None,
-            trial_inputs=None,
-            trial_names=(),
-        )
-        return dataset, shown
 
     def _slope(self, predictor: Predictor, free: FreeParameter, markers: Floats) -> Floats:
         """Return the derivative (P, J, 3) [m per unit] of the markers by a parameter."""
