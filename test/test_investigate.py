@@ -227,6 +227,19 @@ def test_interrupted_it_lets_go_and_goes_on_where_it_was(tmp_path):
         Investigation(stranger, Goal(), folder, resume=True)
 
 
+def test_a_request_to_stop_ends_it_during_a_diagnosis_and_the_arm_is_released(tmp_path):
+    folder, subject = tmp_path / 'stopped', exact_arm({'hinge_friction': {}})
+
+    def stop():
+        raise TendonRobotError('it was stopped')
+
+    subject.attend = stop
+    with pytest.raises(TendonRobotError, match='it was stopped'):
+        Investigation(subject, Goal(start=3), folder).run()
+    assert subject.released == 1
+    assert len(load_dataset(folder / 'data').postures) == 3
+
+
 @pytest.mark.long
 def test_of_an_arm_without_a_hidden_effect_it_says_that_the_model_is_adequate():
     made = Investigation(arm({}, seed=5), Goal(start=7)).run()

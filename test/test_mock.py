@@ -149,6 +149,7 @@ def test_an_arm_that_cannot_respond_stays_where_it_is_and_says_why():
         ({'lags': 1}, "mock.yaml: lags: expected one of lag, .*, got 'lags'"),
         ({'lag': -1}, 'mock.yaml: lag: expected a finite number from 0 to 10 .s., got -1'),
         ({'tension_source': 'guess'}, 'tension_source: expected one of load_cell, command'),
+        ({'seed': 'x'}, 'seed: expected a whole number from 0'),
     ],
 )
 def test_a_wrong_configuration_is_refused(config, message):

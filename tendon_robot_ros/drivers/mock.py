@@ -46,7 +46,7 @@ class MockConfig:
             tension_noise=top.value('tension_noise', cls.tension_noise, 0.0, 10.0, 'N'),
             pull_noise=top.value('pull_noise', cls.pull_noise, 0.0, 10.0, 'm'),
             tension_source=top.choice('tension_source', ('load_cell', 'command'), 'load_cell'),
-            seed=top.content.get('seed', cls.seed),
+            seed=top.whole('seed', 0, 2**32 - 1) if top.has('seed') else cls.seed,
         )
 
 

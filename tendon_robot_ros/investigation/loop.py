@@ -259,7 +259,11 @@ class Investigation:
     def judge(self) -> InvestigationEnd | None:
         """Diagnose the measurements; return why the investigation ends, None if it goes on."""
         dataset = self.record.dataset
-        diagnosis = diagnose(dataset, None, self.catalogue, 1)
+
+        def attend(*progress: object) -> None:
+            self.arm.attend()
+
+        diagnosis = diagnose(dataset, None, self.catalogue, progress=attend)
         self.diagnosis = diagnosis
         length, unexcluded = self.arm.robot.length, dict[str, float]()
         if diagnosis.verdict.judged and np.isfinite(diagnosis.error_after):

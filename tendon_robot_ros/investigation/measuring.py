@@ -70,6 +70,9 @@ class MeasurableArm(Protocol):
 
         """
 
+    def attend(self) -> None:
+        """Serve what has come during a diagnosis; raise TendonRobotError to end it."""
+
     def release(self) -> None:
         """Release the arm to its safe state."""
 

@@ -138,6 +138,9 @@ class SimulatedArm:
         noise = self._random.normal(0.0, self.position_noise, mean.shape)
         return PostureMeasured(mean + noise, None, trials * self.readings)
 
+    def attend(self) -> None:
+        """Serve nothing: nobody stops a simulation."""
+
     def release(self) -> None:
         """Release the arm: it is straight, without friction memory."""
         self.released += 1

@@ -256,7 +256,8 @@ def refuse_servos(bus: Bus, motors: dict[int, Motor], models: dict[int, int]) ->
         named = ', '.join(f'{identity}: {name}' for identity, name in without.items())
         raise DriverError(f'{bus.path}: model: expected {INSTEAD}, found {named}')
     present = {i: number for i, number in models.items() if number} | bus.everyone()
-    firmware = {i: f' firmware {bus.read(i, "firmware_version")}' for i in sorted(present)}
+    versions = {i: bus.read(i, 'firmware_version') for i in sorted(present)}
+    firmware = {i: f' firmware {v}' for i, v in versions.items() if v is not None}
     if all(present.get(i) == motor.model.number for i, motor in motors.items()):
         raise DriverError(
             f'{bus.path}: all servos are there, but answers come late or broken; check the cable, '

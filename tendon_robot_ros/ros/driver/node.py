@@ -133,7 +133,7 @@ class DriverNode(StoppableNode):
         if strength := loop.driver.strength():
             self.get_logger().info(strength)
         if silence := loop.driver.silence():
-            self.get_logger().info(f'motors left in silence stop after {silence}')
+            self.get_logger().info(f'time-out after which motors without commands stop: {silence}')
 
     def deactivate(self) -> None:
         """Ramp to pretension, then switch torque off if `release_to` is limp."""
