@@ -399,7 +399,9 @@ def dead_inputs(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     if spans.max() < 10.0 * NEGLIGIBLE * largest:
         return
     for j in np.flatnonzero(spans < NEGLIGIBLE * largest).tolist():
-        yield from filter(None, [_dead(predictor, j, {})])
+        one = _dead(predictor, j, {})
+        if one is not None:
+            yield one
 
 
 def _dead(predictor: Predictor, j: int, point: Point) -> Mistake | None:

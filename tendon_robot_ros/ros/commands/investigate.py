@@ -69,9 +69,6 @@ BY_GEARS = 'current'  # source of tensions: the current of motors, falsified by 
 # [1/s] of an input, in fractions of its largest tension (in pull mode of a tenth of the arm's
 # length), so that a posture is reached in some seconds
 SPEED = 0.2
-# [s] for which messages are served after each fit of a diagnosis, because a diagnosis has some
-# hundred fits and is to last no more than a tenth longer
-ATTENTION_S = 2e-3
 # [rad] that an arm may bend beyond its description until a slack wire is taut: a missing effect
 # would else pull the wire, and change the posture
 SLACK_ANGLE = 0.6
@@ -255,8 +252,8 @@ class RunningArm(Pilot):
                 self._executor.spin_once(timeout_sec=SPIN_S)
 
     def attend(self) -> None:
-        """Serve messages for a moment; StoppedError: the service `~/stop` was called."""
-        self.spin(ATTENTION_S)
+        """Serve a message that has come; StoppedError: the service `~/stop` was called."""
+        self.spin_once(0.0)
 
     def spin_once(self, timeout: float) -> None:
         """Serve one message; StoppedError: the service `~/stop` was called."""
