@@ -211,6 +211,22 @@ def test_an_interval_goes_on_where_another_parameter_is_at_its_bound(seed):
     assert low < hidden['lag'] - told.values[0] < high
 
 
+@pytest.mark.parametrize('seed', [1, 3])
+def test_an_interval_ends_where_its_profile_has_risen_even_if_that_is_flat_for_long(seed):
+    """How a small lag begins: fast or faster, nothing tells."""
+    arm = replace(COARSE, exact=True)
+    plant = make_plant(arm, {'bending_hysteresis': {'lag': 0.00375, 'presliding': 3.0}}, seed=seed)
+    inputs = np.random.default_rng(seed).permutation(default_postures(arm, 14))
+    dataset = simulate(plant, inputs, trials=2, path='sequence', seed=seed)
+    session, fit = settled(dataset, ['bending_hysteresis'], arm)
+    lag, free = fit.frees
+    for end in intervals(session.fitter, fit)[free]:
+        pinned = replace(free, parameter=replace(free.parameter, low=end, high=end))
+        rise = session.fitter.fit((lag, pinned), {**fit.point, pinned: end}).chi2 - fit.chi2
+        bound = end in (free.parameter.low, free.parameter.high)
+        assert rise < 3.84 if bound else rise == pytest.approx(3.84, rel=0.05)
+
+
 @pytest.mark.parametrize('effect', ['moment_arm', 'backbone_stiffness'])
 def test_an_interval_ends_where_the_model_itself_with_other_gains_fits_that_much_worse(effect):
     """Gains of 5 % that nobody knows bend the arm as the effect does."""

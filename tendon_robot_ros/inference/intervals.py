@@ -10,14 +10,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import brentq
 
 from ..common.arrays import Floats
 from ..common.words import spoken
 from .fit import Fit
-from .fitter import FAILURES, ROUNDS_MAX, Fitter
+from .fitter import FAILURES, Fitter
 from .imperfections import Members
 from .marginal import NEGLIGIBLE, SIZE_MAX, Likelihood, Prior, RandomEffects
 from .predict import FreeParameter, Point, Predictor
@@ -113,30 +115,21 @@ def _endpoint(fitter: Fitter, fit: Fit, i: int, spread: float, wide: float) -> f
             return end
     if value == bound:
         return value
-    plain, end = end, bound if outside else end
-    least = _profile(fitter, fit, i, value, wide)
+    near, end = value, bound if outside else end
+    profile = cache(lambda end: _profile(fitter, fit, i, end, wide))
 
-    def rise_to(end: float) -> float:
-        return float(np.sqrt(max(_profile(fitter, fit, i, end, wide) - least, 0.0)))
+    def beyond(end: float) -> float:
+        rise = np.sqrt(max(profile(end) - profile(value), 0.0))
+        off = float(min(rise, 2.0 * wide)) - wide  # bounded: it may have no equilibrium
+        return off if abs(off) > RISE_ERROR_MAX * wide else 0.0
 
-    rise = rise_to(end)
-    if outside and rise < wide:
-        return bound
-    near, far = (value, 0.0), None  # ends, and the rises there
-    for _ in range(ROUNDS_MAX):
-        if abs(rise - wide) < RISE_ERROR_MAX * wide or not np.isfinite(rise):
-            break
-        near, far = ((end, rise), far) if rise < wide else (near, (end, rise))
-        if far is None:
-            end = value + (end - value) * float(np.clip(wide / max(rise, 1e-6), 1.0, 5.0))
-            end = float(np.clip(end, parameter.low, parameter.high))
-        else:
-            share = float(np.clip((wide - near[1]) / (far[1] - near[1]), 0.1, 0.9))
-            end = near[0] + share * (far[0] - near[0])
-        rise = rise_to(end)
-        if end == bound and rise < wide:
-            break
-    return end if np.isfinite(rise) else plain
+    while beyond(end) < 0.0:
+        if end == bound:
+            return bound
+        near, end = end, float(np.clip(2.0 * end - value, parameter.low, parameter.high))
+    # much finer, so that it only ends the search at a jump of the profile
+    finest = RISE_ERROR_MAX**2 * abs(end - value)
+    return float(brentq(beyond, near, end, xtol=finest))
 
 
 def _rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
