@@ -2,6 +2,7 @@
 
 import threading
 import time
+from functools import partial
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -70,19 +71,19 @@ class Rig:
         return np.array(state.effort if self.mode == 'tension' else state.position)
 
     def until_following(self):
-        """Wait until the node follows, and the arm is now where it is told to be."""
+        """Have the node follow, again where a fault comes back, and wait for its arm."""
         begun, near = self.station.now(), self.near[self.mode == 'pull']
-        if self.station.driver:
-            self.station.until(lambda: self.station.trigger('driver/resume').success, 'no fault')
 
         def there():
             heard = self.station.states
             fresh = heard and stamp(last(heard)) > begun
-            return fresh and np.allclose(self.measured(), self.command, atol=near)
+            said = self.station.driver and values(last(self.station.driver))['code']
+            near_it = fresh and np.allclose(self.measured(), self.command, atol=near)
+            return near_it and said == 'following'
 
         try:
-            self.station.until(there, 'the command', 40.0)
-            self.station.until_code(self.station.driver, 'following', timeout=30.0)
+            ask = partial(self.station.trigger, 'driver/resume')
+            self.station.repeat(ask, 0.5, there, 'the command', timeout=40.0)
         except AssertionError as error:
             raise AssertionError(f'{error}; {self._seen()}') from None
 

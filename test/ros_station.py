@@ -85,7 +85,7 @@ class Station:
         """Publish every second, as a person would, until something holds."""
         self.repeat(lambda: self.send(topic, message), 1.0, condition, what)
 
-    def repeat(self, act, period, condition, what):
+    def repeat(self, act, period, condition, what, timeout=DISCOVERY):
         """Act, and again after every period [s], until something holds."""
         acted = -math.inf
 
@@ -96,7 +96,7 @@ class Station:
                 act()
             return condition()
 
-        self.until(held, what)
+        self.until(held, what, timeout)
 
     def spin(self, seconds):
         end = time.monotonic() + seconds
