@@ -11,6 +11,7 @@ from marks import slow
 from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.diagnosis.add import fit_effects
+from tendon_robot_ros.inference.crossval import left_out_squares
 from tendon_robot_ros.inference.fitter import Fitter
 from tendon_robot_ros.inference.intervals import QUANTILE, intervals, values_of
 from tendon_robot_ros.inference.noise import Whitener, input_slopes
@@ -300,6 +301,22 @@ def test_leaving_a_posture_out_is_what_refitting_without_it_gives():
     assert total == pytest.approx(by_hand, rel=0.01)
     assert total > fit.chi2
     assert 0.001 < probability <= 1.0
+
+
+def test_leaving_postures_out_keeps_a_value_within_its_bounds_and_the_others_follow():
+    dataset = measured(EXACT, {'backbone_stiffness': {'relative_change': 0.05}}, seed=2, count=6)
+    session, fit = settled(dataset, ['backbone_stiffness', 'hinge_friction'])
+    assert fit.values[1] == 0.0
+    squares = left_out_squares(session.fitter, fit)
+    by_hand = np.empty_like(squares)
+    for p, name in enumerate(dataset.postures):
+        part = dataset.select([other for other in dataset.postures if other != name])
+        predictor = Predictor(part, EXACT, CATALOGUE)
+        whitener = Whitener(part, session.noise, input_slopes(predictor, fit.point))
+        refit = Fitter(predictor, whitener).fit(fit.frees, fit.point)
+        off = dataset.mean - session.predictor.markers(refit.point)
+        by_hand[p] = (off[p] ** 2).sum(axis=1)
+    assert squares.mean() == pytest.approx(by_hand.mean(), rel=0.01)
 
 
 def test_noise_that_is_not_known_well_makes_the_judgement_milder():

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import lsq_linear
 
 from ..common.arrays import Floats
 from ..common.errors import NoEquilibriumError
@@ -147,7 +149,8 @@ def left_out_squares(
     """
     Return squared errors (P, J) [m²] of postures that were not used: folds are left out in turn.
 
-    The parameters without a fold follow from the Jacobian at the fit (one Gauss-Newton step); the
+    The parameters without a fold follow from the Jacobian at the fit (one Gauss-Newton step within
+    their bounds); the
     model itself then predicts the left-out postures, as the description to write would: with the
     tolerances and imperfections that it can hold (`beside`), or without.
     """
@@ -156,11 +159,16 @@ def left_out_squares(
     scale = np.maximum(np.linalg.norm(fit.jacobian, axis=0), 1e-300)
     scaled = fit.jacobian / scale
     normal, gradient = scaled.T @ scaled, scaled.T @ fit.residual
+    room = np.full((2, len(scale)), [[-np.inf], [np.inf]])
+    for i, own in enumerate(free.parameter for free in fit.all_frees):
+        room[:, i] = (fit.values[i] - np.array([own.high, own.low])) * scale[i]
     for held in folds or folds_of(dataset):
         rows = np.flatnonzero(np.isin(owners, held))
         out, off = fit.jacobian[rows] / scale, fit.residual[rows]
         remaining = normal - out.T @ out + RIDGE * np.eye(len(normal))
-        step = np.linalg.solve(remaining, gradient - out.T @ off) / scale
+        root = cholesky(remaining)
+        goal = solve_triangular(root, gradient - out.T @ off, trans='T')
+        step = lsq_linear(root, goal, room, 'bvls').x / scale
         markers = written_markers(fitter, fit, fit.values - step, beside)
         if markers is not None:
             predicted[held] = markers[held]
