@@ -25,7 +25,6 @@ from .verdict import (
     ALARM_LEVEL,
     APART_FROM_SCORE,
     EFFECTS_MAX,
-    P_SINGLE_MIN,
     RESIDUAL_RATIO_MAX,
     Conclusion,
     Departure,
@@ -301,8 +300,7 @@ def gather(question: Question, brief: bool = False) -> Fits:
     session = question.weigh({})
     base = session.base_fit()
     tested, not_tested = session.split_tested(base.point)
-    race, reversed_once = session.race(tested), False
-    singles = [session.rank(*one) for one in race.run()]
+    singles, reversed_once = session.fit_all(tested), False
     for iteration in range(ROUNDS_MAX):
         if not singles:
             break
@@ -326,13 +324,6 @@ def gather(question: Question, brief: bool = False) -> Fits:
         if beyond is singles:
             break
         singles, reversed_once = beyond, True
-    if not any(r.probability > P_SINGLE_MIN for r in singles):  # combinations need converged fits
-        stopped = [fit for _, fit in race.stopped_early()]
-        late = {candidate.label: session.rank(candidate, fit) for candidate, fit in race.go_on()}
-        singles = [
-            late.get(r.candidate.label, r) if any(r.fit is fit for fit in stopped) else r
-            for r in singles
-        ]
     return Fits(session, base, singles, not_tested, brief, reversed_once)
 
 

@@ -46,80 +46,48 @@ NOISE_UNKNOWN = (
 Starts = Mapping[str, Fit | Point]
 
 
-class Race:
+def race(
+    fitter: Fitter, candidates: Sequence[Candidate], starts: Starts, done: Callable[[], None]
+) -> list[tuple[Candidate, Fit]]:
     """
-    Fits of candidates; those without equilibrium drop out.
+    Fit candidates from `starts` by their labels; those without equilibrium drop out.
 
     Round by round, a fit stops if its score, less its expected further gain, is more than
-    `NEAR_SCORE` behind the best one.
+    `NEAR_SCORE` behind the best one. `done` is called for every fit that ends.
     """
-
-    def __init__(
-        self, fitter: Fitter, candidates: Sequence[Candidate], done: Callable[[], None]
-    ) -> None:
-        """Take a fitter; `done` is called for every fit that ends."""
-        self.fitter, self.candidates, self.done = fitter, candidates, done
-        self._fits: list[Fit | None] = [None] * len(candidates)
-        self._descents: dict[int, Descent] = {}
-        self._stopped: list[int] = []
-
-    def run(self, starts: Starts | None = None) -> list[tuple[Candidate, Fit]]:
-        """Fit all candidates, from `starts` by their labels."""
-        racing = []
-        for i, candidate in enumerate(self.candidates):
-            start = None if starts is None else starts.get(candidate.label)
-            try:
-                self._descents[i] = self.fitter.begin(candidate.frees, start)
-                racing.append(i)
-            except FAILURES:
-                self.done()
-        while racing:
-            for i in racing:
-                self._go_on(i)
-            limit = min(map(self._score, self._descents), default=np.inf) + NEAR_SCORE
-            left = [i for i in racing if self._is_running(i) and self._promise(i) <= limit]
-            for i in racing:
-                if i not in left:
-                    self._finish(i)
-            self._stopped += [i for i in racing if self._is_running(i) and i not in left]
-            racing = left
-        return self._fits_of(range(len(self.candidates)))
-
-    def stopped_early(self) -> list[tuple[Candidate, Fit]]:
-        """Return the fits that were stopped early."""
-        return self._fits_of(self._stopped)
-
-    def go_on(self) -> list[tuple[Candidate, Fit]]:
-        """Continue the fits that were stopped early until they converge."""
-        for i in self._stopped:
-            while self._is_running(i):
-                self._go_on(i)
-            self._finish(i)
-        return self._fits_of(self._stopped)
-
-    def _fits_of(self, which: Sequence[int]) -> list[tuple[Candidate, Fit]]:
-        return [(self.candidates[i], fit) for i in which if (fit := self._fits[i]) is not None]
-
-    def _is_running(self, i: int) -> bool:
-        return i in self._descents and not self._descents[i].converged
-
-    def _score(self, i: int) -> float:
-        return self._descents[i].place.deviance + 2.0 * len(self.candidates[i].frees)
-
-    def _promise(self, i: int) -> float:
-        return self._score(i) - GAINS_TO_COME * self._descents[i].gain
-
-    def _go_on(self, i: int) -> None:
+    descents, fits = dict[int, Descent](), dict[int, Fit]()
+    for i, candidate in enumerate(candidates):
         try:
-            if self._is_running(i):  # an exact arm's first search was all
-                self._descents[i].go_on()
+            descents[i] = fitter.begin(candidate.frees, starts.get(candidate.label))
         except FAILURES:
-            del self._descents[i]
+            done()
 
-    def _finish(self, i: int) -> None:
-        with suppress(*FAILURES):
-            self._fits[i] = self._descents[i].fit() if i in self._descents else None
-        self.done()
+    def score(i: int) -> float:
+        return descents[i].place.deviance + 2.0 * len(candidates[i].frees)
+
+    racing = list(descents)
+    while racing:
+        for i in racing:
+            try:
+                if not descents[i].converged:  # an exact arm's first search was all
+                    descents[i].go_on()
+            except FAILURES:
+                del descents[i]
+        limit = min(map(score, descents), default=np.inf) + NEAR_SCORE
+        left = [
+            i
+            for i in racing
+            if i in descents
+            and not descents[i].converged
+            and score(i) - GAINS_TO_COME * descents[i].gain <= limit
+        ]
+        for i in racing:
+            if i not in left:
+                with suppress(*FAILURES):
+                    fits |= {i: descents[i].fit()} if i in descents else {}
+                done()
+        racing = left
+    return [(candidates[i], fits[i]) for i in sorted(fits)]
 
 
 @dataclass(frozen=True)
@@ -325,17 +293,6 @@ class Session(Question):
         """Return a candidate with its fit, for a ranking."""
         return Ranked(candidate, fit, self.freedom, self.whitener.owners)
 
-    def race(self, candidates: Sequence[Candidate], what: str = 'effects') -> Race:
-        """Return the fits of candidates."""
-        finished = 0
-
-        def one_more() -> None:
-            nonlocal finished
-            finished = min(finished + 1, len(candidates))
-            self.progress(what, finished, len(candidates))
-
-        return Race(self.fitter, candidates, one_more)
-
     def fit_all(
         self, candidates: Sequence[Candidate], starts: Starts | None = None, what: str = 'effects'
     ) -> list[Ranked]:
@@ -345,7 +302,14 @@ class Session(Question):
         `starts` are fits of the candidates or of a part of their effects. Of an arm as built fits
         that are far behind the best stop early.
         """
-        return [self.rank(*one) for one in self.race(candidates, what).run(starts)]
+        finished = 0
+
+        def one_more() -> None:
+            nonlocal finished
+            finished = min(finished + 1, len(candidates))
+            self.progress(what, finished, len(candidates))
+
+        return [self.rank(*one) for one in race(self.fitter, candidates, starts or {}, one_more)]
 
     def fit_joint(
         self, candidates: Sequence[Candidate], starts: Mapping[str, Fit], what: str
