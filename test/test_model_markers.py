@@ -79,10 +79,11 @@ def test_a_batch_places_markers_on_every_posture():
     assert np.array_equal(found[1, 1], placed(model, [0.5, 0.0], 0.02))
 
 
-@pytest.mark.parametrize('arc_length', [0.0281, -0.001])
-def test_a_marker_beyond_the_tip_is_refused(arc_length):
+@pytest.mark.parametrize('arc_length', [0.0281, -0.001, np.nan])
+def test_the_marker_that_is_not_on_the_arm_is_named_and_refused(arc_length):
+    model = Model(planar(4))
     with pytest.raises(InputError) as caught:
-        placed(Model(planar(4)), [0.0, 1.0], arc_length)
+        model.observed(model.shape([0.0, 1.0]), [0.01, arc_length, 0.02])
     assert str(caught.value) == (
         f'markers: expected arc lengths from 0 to 0.028 m (the tip), got {arc_length:g} m'
     )

@@ -98,10 +98,11 @@ def marker_cells(
     """Cells (j,) that arc lengths lie in, the fraction of each before them, and if all are 1."""
     lengths, along = np.frombuffer(cell_lengths), np.frombuffer(arc_lengths)
     ends = np.cumsum(lengths)
-    if np.any(along > ends[-1] + RESOLUTION) or np.any(along < 0.0):
+    outside = along[~((along >= 0.0) & (along <= ends[-1] + RESOLUTION))]
+    if outside.size:
         raise InputError(
             f'markers: expected arc lengths from 0 to {ends[-1]:g} m (the tip), '
-            f'got {along.max():g} m'
+            f'got {outside[0]:g} m'
         )
     cells = np.minimum(np.searchsorted(ends + RESOLUTION, along), len(ends) - 1)
     fraction = np.clip((along - (ends - lengths)[cells]) / lengths[cells], 0.0, 1.0)
