@@ -145,6 +145,12 @@ def test_what_mujoco_cannot_say_stands_in_the_head():
     assert 'Not in this file' not in mjcf(Model(planar()))
 
 
+def test_dashes_in_a_name_do_not_end_the_head():
+    text = mjcf(Model(replace(planar(), name='arm ---- 2')))
+    assert text.startswith('<!--\narm - - - - 2, written by ')
+    assert mujoco.MjModel.from_xml_string(text).nu == 2
+
+
 def test_a_law_that_is_no_gain_and_offset_is_left_out_and_said():
     soft = load_catalogue(ROOT / 'examples/soft_pulley.py')
     robot = replace(planar(), effects={'soft_pulley': {'loss': 0.1}})

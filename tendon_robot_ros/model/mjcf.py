@@ -16,6 +16,7 @@ fixed tendon, linear in the joints, says exactly.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
@@ -270,7 +271,7 @@ def _head(model: Model, laws: Laws) -> str:
     beside = [f'  {e.name}: {e.title}' for e in laws.acting if e.stage in BESIDE_THE_ARM]
     if beside:
         lines += ['Not in this file, because it is about wires or tracker:', *beside]
-    return '<!--\n' + '\n'.join(lines).replace('--', '- -') + '\n-->'
+    return '<!--\n' + re.sub('-(?=-)', '- ', '\n'.join(lines)) + '\n-->'
 
 
 def unsaid(laws: Laws) -> list[Effect]:
