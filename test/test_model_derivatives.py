@@ -120,6 +120,20 @@ def test_markers_inside_a_cell_by_tensions_and_by_parameters():
         assert np.allclose(found[..., q], expected, rtol=1e-4, atol=2e-7)
 
 
+def test_of_a_parameter_that_is_described_beyond_the_bounds_of_a_fit():
+    arm, inputs = load_robot('kato_10_1'), [[0.6, 0.1, 0.2, 0.1]]
+    value, step = 0.6 * 0.0055, 1e-7
+
+    def with_clearance(size):
+        return Model(arm.with_effect('eyelet_clearance', {'clearance': size}))
+
+    model = with_clearance(value)
+    assert value > model.catalogue['eyelet_clearance'].parameters[0].high
+    found = model.derivatives(model.shapes(inputs), [('eyelet_clearance', 'clearance')])[..., 0]
+    up, down = (with_clearance(value + h).shapes(inputs).positions for h in (step, -step))
+    assert np.allclose(found, (up - down) / (2.0 * step), rtol=1e-4, atol=1e-5)
+
+
 def test_of_a_quantity_that_does_not_exist():
     model = Model(arm(['gravity']))
     shapes = model.shapes(TENSIONS)

@@ -463,7 +463,9 @@ def move_of(model: ForwardModel, shapes: ShapeBatch, column: Column) -> Move:
         raise InputError(f'{effect}: unknown parameter {name!r}; known: {", ".join(known)}')
     value, parameter = model.arrays.get(effect, name, section), known[name]
     step = longer * DIFFERENCE_STEP * max(abs(value), parameter.typical)
-    ends = max(-step, parameter.low - value), min(step, parameter.high - value)
+    # a description may say more than a fit may: from there one-sided, too
+    low, high = min(parameter.low, value), max(parameter.high, value)
+    ends = max(-step, low - value), min(step, high - value)
     columns = slice(None) if section is None else section
     return Move.of_parameter(model, len(shapes), effect, name, columns, ends)
 
