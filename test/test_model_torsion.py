@@ -11,6 +11,7 @@ from scipy.optimize import brentq
 from tendon_robot_ros.common.rotations import about, turned_in_plane
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import Robot, Tendon
+from tendon_robot_ros.robot.description import helix_angles
 
 K, L, R = 0.05, 0.01, 0.006
 TORSION = {'torsion': {'compliance': 1.3}}
@@ -157,3 +158,17 @@ def test_an_offset_per_cell_is_the_same_as_one_that_winds():
     one, other = (Model(r).shape([0.5, 2.0, 0.1]) for r in (robot, listed))
     assert np.allclose(one.positions, other.positions, rtol=0, atol=1e-12)
     assert np.allclose(one.twist, other.twist, rtol=0, atol=1e-12)
+
+
+def test_a_straight_tendon_that_crosses_the_axis_does_not_wind():
+    base, end = (0.004, 0.003), (-0.004, -0.003)
+    listed = np.linspace(base, end, 9)
+    middles = tuple(map(tuple, (0.5 * (listed[1:] + listed[:-1])).tolist()))
+    crossing = Tendon('crossing', base, end, 'only')
+    both = (crossing, replace(crossing, offsets=middles))
+    ends = Tendon('ends', base, (0.0, 0.0), 'only', offsets=(base,) * 7 + ((0.0, 0.0),))
+    robot = replace(around(8), tendons=(*both, ends))
+    assert not helix_angles(robot).any()
+    bends = [Model(replace(robot, tendons=(one,))).shape([2.0]) for one in both]
+    assert np.allclose(bends[0].bend, bends[1].bend, rtol=0, atol=1e-12)
+    assert np.allclose(bends[0].pulls, bends[1].pulls, rtol=0, atol=1e-12)

@@ -328,19 +328,23 @@ def helix_angles(robot: Robot) -> Floats:
     """Return the angle by which every tendon winds about the axis in every cell, (n, k) [rad]."""
     lengths = np.array(robot.cell_lengths)
     ends = np.cumsum(lengths)
-    (x0, y0), (x1, y1) = (
-        np.moveaxis(_offsets_at(robot, at), 2, 0) for at in (ends - lengths, ends)
-    )
-    middle = 0.25 * ((x0 + x1) ** 2 + (y0 + y1) ** 2)
-    angles = 2.0 * np.arctan2(x0 * y1 - y0 * x1, 2.0 * middle)
+    angles = _turns(*(_offsets_at(robot, at) for at in (ends - lengths, ends)))
     for k, (tendon, cells) in enumerate(zip(robot.tendons, robot.tendon_cells, strict=True)):
         if tendon.offsets:
-            angle = np.unwrap(np.arctan2(*np.transpose(tendon.offsets)[::-1]))
+            at = np.array(tendon.offsets)
+            angle = np.append(0.0, np.cumsum(_turns(at[:-1], at[1:])))
             middles = (ends - 0.5 * lengths)[:cells]
             rate = np.gradient(angle, middles) if cells > 1 else 0.0
             angles[:cells, k] = rate * lengths[:cells]
         angles[cells:, k] = 0.0
     return np.where(np.abs(angles) < 1e-12, 0.0, angles)  # rounding errors
+
+
+def _turns(start: Floats, end: Floats) -> Floats:
+    """Return the angles (...) [rad] by which lines between offsets (..., 2) [m] wind."""
+    (x0, y0), (x1, y1) = np.moveaxis(start, -1, 0), np.moveaxis(end, -1, 0)
+    middle = 0.25 * ((x0 + x1) ** 2 + (y0 + y1) ** 2)
+    return np.asarray(2.0 * np.arctan2(x0 * y1 - y0 * x1, 2.0 * middle))
 
 
 def _offsets_at(robot: Robot, arc_lengths: Floats) -> Floats:
