@@ -276,6 +276,14 @@ def test_what_cannot_be_hidden_is_refused(hidden, message):
     assert message in str(refusal.value)
 
 
+def test_tendons_may_end_on_the_axis():
+    plain = robot(ARCS, effects={})
+    tendons = tuple(replace(tendon, end=(0.0, 0.0)) for tendon in plain.tendons)
+    tapered, tensions = replace(plain, tendons=tendons), TENSIONS[ARCS]
+    bends = make_plant(tapered, scatter=0.0, refine=1).shapes(tensions).bend
+    np.testing.assert_allclose(bends, Model(tapered).shapes(tensions).bend, atol=1e-12)
+
+
 def test_senseless_plants_are_refused():
     with pytest.raises(InputError, match='refine: expected a whole number from 1 on, got 0'):
         make_plant(robot(ARCS), refine=0)

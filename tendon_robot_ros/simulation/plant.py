@@ -180,7 +180,7 @@ class Plant:
         self.built = built or Built.exact(robot)
         self.inputs = robot.inputs
         # tension [N] and wire pull [m] that bend the arm by half a radian, roughly
-        radius = max(float(np.hypot(*tendon.end)) for tendon in robot.tendons)
+        radius = natural_sizes(robot)['radius']
         softness = sum(1.0 / k for s in robot.sections for k in s.bending_stiffness)
         self._scale = 0.5 / (softness * radius), 0.5 * radius
         self._state: PlantShape | None = None
