@@ -255,6 +255,10 @@ def test_pulls_from_both_sides_leave_it_where_the_model_with_memory_says(arm, hi
         ({'magic': {}}, "unknown hidden effect 'magic'; in the catalogue: tendon_friction, "),
         ({'soft_cell': {'celll': 3}}, "soft_cell: expected one of cell, factor, got 'celll'"),
         ({'soft_cell': {'cell': 31}}, 'cell: expected a whole number from 1 (base) to 30, got 31'),
+        ({'soft_cell': {'cell': np.nan}}, 'expected a whole number from 1 (base) to 30, got nan'),
+        ({'soft_cell': {'factor': 0.0}}, 'soft_cell: expected a size that leaves stiffness and'),
+        ({'stiffness_gradient': {'relative_change': -2.0}}, 'stiffness_gradient: expected a size'),
+        ({'posture_gain': {'size': 1.0}}, 'posture_gain: expected a size that leaves'),
         (
             {'tip_load': {'force': 1}},
             'tip_load: expected one of force_x, force_y, force_z, moment_x',

@@ -48,7 +48,7 @@ class Damage:
     def cell(self, number: float) -> int:
         """Return the index of a cell by its number."""
         n = self.robot.cells
-        if number != int(number) or not 1 <= number <= n:
+        if number not in range(1, n + 1):
             raise EffectError(f'cell: expected a whole number from 1 (base) to {n}, got {number}')
         return int(number) - 1
 
@@ -107,6 +107,8 @@ def hide(
             _, *known = signature(CAUSES[name]).parameters
             _refuse_unknown(name, values, known)
             CAUSES[name](damage, **{key: _one(name, key, v) for key, v in values.items()})
+            if not (np.all(damage.stiffness > 0.0) and abs(damage.gain) < 1.0):
+                raise EffectError(f'{name}: expected a size that leaves stiffness and tensions')
         elif name in catalogue:
             effects[name] = chosen(catalogue[name], values, robot)
         else:
