@@ -134,6 +134,31 @@ def test_of_a_parameter_that_is_described_beyond_the_bounds_of_a_fit():
     assert np.allclose(found, (up - down) / (2.0 * step), rtol=1e-4, atol=1e-5)
 
 
+def test_by_stiffness_of_cells_that_bow_under_a_load():
+    arm = load_robot('spatial_3').with_effect('tip_load', {'force_x': 0.05, 'force_y': 0.02})
+    sections = tuple(
+        replace(
+            s,
+            cells=2,
+            cell_length=0.08,
+            bends_as='arc',
+            bending_stiffness=(0.05,) * 2,
+            mass_profile=(1.0,) * 2,
+        )
+        for s in arm.sections
+    )
+    robot = replace(arm, sections=sections, effects={'tip_load': arm.effects['tip_load']})
+    model, inputs, step = Model(robot), [[0.3, 0.1, 0.1]], 1e-4
+    shapes = model.shapes(inputs)
+    found = model.derivatives(shapes, [('backbone_stiffness', 'relative_change')])[..., 0]
+    up, down = (
+        Model(robot.with_effect('backbone_stiffness', {'relative_change': h})).shapes(inputs)
+        for h in (step, -step)
+    )
+    expected = (up.positions - down.positions) / (2.0 * step)
+    assert np.allclose(found, expected, rtol=1e-5, atol=1e-7)
+
+
 def test_of_a_quantity_that_does_not_exist():
     model = Model(arm(['gravity']))
     shapes = model.shapes(TENSIONS)

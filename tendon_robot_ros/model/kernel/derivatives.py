@@ -349,9 +349,10 @@ def residuals(robot, inputs, bends, past, scratch, acting, starts, places, value
     as wide as a state.
     """
     chain = chain_at(robot)
-    work, then = work_in(chain, scratch), memory_in(chain, address(past))
+    then = memory_in(chain, address(past))
     for v in range(out.shape[0]):
         exchange(chain, acting, starts, places, values, v)
+        work = work_in(chain, scratch)  # of the variant: stiffness is kept there
         for b in range(out.shape[1]):
             row, tension = address(out[v, b]), address(inputs[v, b])
             for q in range(unknowns(chain), 3 * chain.n):

@@ -315,11 +315,12 @@ def variants_shown(robot, block, count, past, scratch, acting, starts, places, v
     """
     chain = chain_at(robot)
     n, k, m = chain.n, chain.k, chain.m
-    work, then = work_in(chain, scratch), memory_in(chain, address(past))
+    then = memory_in(chain, address(past))
     rest = scratch + 8 * (work_size(n, k) + memory_size(n, k, m))
     each = count // acting.shape[0]
     for v in range(acting.shape[0]):
         exchange(chain, acting, starts, places, values, v)
+        work = work_in(chain, scratch)  # of the variant: stiffness is kept there
         for b in range(v * each, (v + 1) * each):
             row, _, solving, output = results_at(chain, address(block), count, b, work)
             chain.residual(chain, row[0], row[1], solving, then, rest)
