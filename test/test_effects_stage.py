@@ -111,6 +111,16 @@ def test_what_an_effect_contains_is_in_the_catalogue():
     assert catalogue['section_stiffness'].contains == ('backbone_stiffness',)
 
 
+def harder(moment, total_tension, loss):
+    """Return M (1 + loss S)."""
+    return moment * (1.0 + loss * total_tension)
+
+
+def test_compiled_kernels_of_another_law_in_the_same_file_are_not_taken_for_this():
+    other = Catalogue([*load_catalogue(), replace(SOFTENING, law=harder)])
+    assert kernel_key(other) != kernel_key(with_softening())
+
+
 def test_an_effect_that_needs_something_unknown_is_refused():
     with pytest.raises(EffectError, match=r"softening: needs: expected one of gravity, .*'luck'"):
         replace(SOFTENING, needs='luck')

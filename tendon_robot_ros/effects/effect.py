@@ -217,8 +217,9 @@ class Effect:
                     f'<= high, got {parameter}'
                 )
         source = inspect.getsourcefile(self.law)
-        with open(source or '', 'rb') as file:
-            object.__setattr__(self, 'digest', hashlib.sha256(file.read()).hexdigest()[:16])
+        with open(source or '', 'rb') as file:  # which may hold several laws
+            text = file.read() + self.law.__qualname__.encode()
+        object.__setattr__(self, 'digest', hashlib.sha256(text).hexdigest()[:16])
 
     def sized(self, sizes: Mapping[str, float]) -> Effect:
         """Return the effect with its parameters as they are for a robot of these sizes."""
