@@ -121,6 +121,12 @@ def test_compiled_kernels_of_another_law_in_the_same_file_are_not_taken_for_this
     assert kernel_key(other) != kernel_key(with_softening())
 
 
+def test_values_per_tendon_are_refused_where_there_is_no_tendon():
+    (loss,) = SOFTENING.parameters
+    with pytest.raises(EffectError, match=r"loss: per_tendon: .*winding, got 'joint_friction'"):
+        replace(SOFTENING, parameters=(replace(loss, per_tendon=True),))
+
+
 def test_an_effect_that_needs_something_unknown_is_refused():
     with pytest.raises(EffectError, match=r"softening: needs: expected one of gravity, .*'luck'"):
         replace(SOFTENING, needs='luck')

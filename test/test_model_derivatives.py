@@ -134,6 +134,17 @@ def test_of_a_parameter_that_is_described_beyond_the_bounds_of_a_fit():
     assert np.allclose(found, (up - down) / (2.0 * step), rtol=1e-4, atol=1e-5)
 
 
+def test_every_tendon_has_its_own_tension_before_the_base():
+    model = Model(arm(['tendon_friction', 'straight_tendon', 'tendon_travel']))
+    model.arrays.set('transmission_loss', 'fraction', 1, 0.25)
+    inputs = np.full(len(model.inputs), 0.5)
+    expected = np.where(np.arange(len(model.robot.tendons)) == 1, 0.375, 0.5)
+    assert np.allclose(model.shape(inputs).tendon_tensions[0], expected, rtol=0, atol=1e-15)
+    found, step = model.jacobian(inputs)[:3], 1e-4 * np.eye(len(inputs))
+    sides = [model.shapes(inputs + side * step).tip_position for side in (1.0, -1.0)]
+    assert np.allclose(found, (sides[0] - sides[1]).T / 2e-4, rtol=1e-4, atol=1e-6)
+
+
 def test_by_stiffness_of_cells_that_bow_under_a_load():
     arm = load_robot('spatial_3').with_effect('tip_load', {'force_x': 0.05, 'force_y': 0.02})
     sections = tuple(

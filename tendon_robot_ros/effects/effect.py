@@ -15,6 +15,8 @@ from .stage import STAGES
 
 # what the measurements of some effects need, words of `Effect.needs`
 NEEDS = ('gravity', 'history', 'pulls')
+# stages at which the kernel asks for the value of a tendon; elsewhere for that of a section
+OF_A_TENDON = ('actuation', 'transmission', 'winding')
 
 
 @dataclass(frozen=True)
@@ -183,7 +185,8 @@ class Effect:
         Raises
         ------
         EffectError
-            Unknown stage, wrong number of arguments, or bounds that exclude the neutral value.
+            Unknown stage, wrong number of arguments, bounds that exclude the neutral value, or
+            values per tendon where there is none.
 
         """
         if self.stage not in STAGES:
@@ -215,6 +218,11 @@ class Effect:
                 raise EffectError(
                     f'effect {self.name}: {parameter.name}: expected low <= neutral '
                     f'<= high, got {parameter}'
+                )
+            if parameter.per_tendon and self.stage not in OF_A_TENDON:
+                raise EffectError(
+                    f'effect {self.name}: {parameter.name}: per_tendon: expected a stage of '
+                    f'{", ".join(OF_A_TENDON)}, got {self.stage!r}'
                 )
         source = inspect.getsourcefile(self.law)
         with open(source or '', 'rb') as file:  # which may hold several laws

@@ -54,8 +54,8 @@ def combine_tendons(chain, inputs, pulls, rows):
     for k in range(chain.k):
         j = tendon[2 * k + 1]
         down = min(tension[j], LEAST_TENSION_N)
-        rate = stages.actuation(tension[j] + LEAST_TENSION_N, chain, 0)
-        rate = (rate - stages.actuation(tension[j] - down, chain, 0)) / (LEAST_TENSION_N + down)
+        rate = stages.actuation(tension[j] + LEAST_TENSION_N, chain, k)
+        rate = (rate - stages.actuation(tension[j] - down, chain, k)) / (LEAST_TENSION_N + down)
         for q in range(unknowns(chain)):
             rows[j, q] += rate * pulls[k, q]
 

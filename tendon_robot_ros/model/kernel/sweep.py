@@ -140,7 +140,7 @@ def base_tensions(chain, inputs, work, moment_arms):
     tensions, tendon = floats(work.tensions), words(chain.tendon)
     mx, my, total = 0.0, 0.0, 0.0
     for k in range(chain.k):
-        t = stages.actuation(floats(inputs)[tendon[2 * k + 1]], chain, 0)
+        t = stages.actuation(floats(inputs)[tendon[2 * k + 1]], chain, k)
         tensions[k] = t
         mx += t * floats(moment_arms)[2 * k]
         my += t * floats(moment_arms)[2 * k + 1]
