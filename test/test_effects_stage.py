@@ -121,10 +121,17 @@ def test_compiled_kernels_of_another_law_in_the_same_file_are_not_taken_for_this
     assert kernel_key(other) != kernel_key(with_softening())
 
 
-def test_values_per_tendon_are_refused_where_there_is_no_tendon():
+def test_values_per_section_or_tendon_are_refused_where_the_stage_has_none():
     (loss,) = SOFTENING.parameters
-    with pytest.raises(EffectError, match=r"loss: per_tendon: .*winding, got 'joint_friction'"):
-        replace(SOFTENING, parameters=(replace(loss, per_tendon=True),))
+    per_tendon, per_section = replace(loss, per_tendon=True), replace(loss, per_section=True)
+    expected = 'loss: expected one value, or one per section at the stage joint_friction, got one'
+    with pytest.raises(EffectError, match=f'{expected} per tendon'):
+        replace(SOFTENING, parameters=(per_tendon,))
+    assert replace(SOFTENING, parameters=(per_section,)).parameters == (per_section,)
+    scale = load_catalogue()['moment_arm']
+    per_section = replace(scale.parameters[0], per_section=True)
+    with pytest.raises(EffectError, match='one value at the stage offset_scale, got one per sect'):
+        replace(scale, parameters=(per_section,))
 
 
 def test_an_effect_that_needs_something_unknown_is_refused():

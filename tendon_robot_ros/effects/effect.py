@@ -15,8 +15,9 @@ from .stage import STAGES
 
 # what the measurements of some effects need, words of `Effect.needs`
 NEEDS = ('gravity', 'history', 'pulls')
-# stages at which the kernel asks for the value of a tendon; elsewhere for that of a section
-OF_A_TENDON = ('actuation', 'transmission', 'winding')
+# whose values the kernel takes at these stages; at all others those of a section
+VALUES_OF = dict.fromkeys(('actuation', 'transmission', 'winding'), 'tendon')
+VALUES_OF |= dict.fromkeys(('offset_scale', 'tip_load', 'push', 'measurement'), '')
 
 
 @dataclass(frozen=True)
@@ -186,7 +187,7 @@ class Effect:
         ------
         EffectError
             Unknown stage, wrong number of arguments, bounds that exclude the neutral value, or
-            values per tendon where there is none.
+            values of sections or tendons where its stage has none.
 
         """
         if self.stage not in STAGES:
@@ -219,15 +220,21 @@ class Effect:
                     f'effect {self.name}: {parameter.name}: expected low <= neutral '
                     f'<= high, got {parameter}'
                 )
-            if parameter.per_tendon and self.stage not in OF_A_TENDON:
+            if parameter.per not in ('', self.values_of):
+                more = f', or one per {self.values_of}' if self.values_of else ''
                 raise EffectError(
-                    f'effect {self.name}: {parameter.name}: per_tendon: expected a stage of '
-                    f'{", ".join(OF_A_TENDON)}, got {self.stage!r}'
+                    f'effect {self.name}: {parameter.name}: expected one value{more} at the stage '
+                    f'{self.stage}, got one per {parameter.per}'
                 )
         source = inspect.getsourcefile(self.law)
         with open(source or '', 'rb') as file:  # which may hold several laws
             text = file.read() + self.law.__qualname__.encode()
         object.__setattr__(self, 'digest', hashlib.sha256(text).hexdigest()[:16])
+
+    @property
+    def values_of(self) -> str:
+        """Whose values its law takes: of a 'section', of a 'tendon', or of the robot ('')."""
+        return VALUES_OF.get(self.stage, 'section')
 
     def sized(self, sizes: Mapping[str, float]) -> Effect:
         """Return the effect with its parameters as they are for a robot of these sizes."""

@@ -206,7 +206,7 @@ def plant_catalogue(catalogue: Catalogue) -> Catalogue:
     for effect in catalogue:  # finer cells have other values, each its own, beyond all bounds
         if effect.name != 'tendon_friction':
             wide = tuple(
-                replace(p, low=-math.inf, high=math.inf, per_section=not p.per_tendon)
+                replace(p, low=-math.inf, high=math.inf, per_section=effect.values_of == 'section')
                 for p in effect.parameters
             )
             effects.append(replace(effect, parameters=wide))
