@@ -53,6 +53,12 @@ def test_a_wire_that_is_pulled_too_little_is_slack_as_well():
     assert np.allclose(shape.positions, model.pull_shape([NAN, 0.004]).positions, atol=1e-8)
 
 
+def test_a_wire_is_slack_without_a_number_by_name_as_in_order():
+    model = Model(planar(6, FRICTION))
+    named, ordered = model.pull_shape({'left': None, 'right': 0.004}), [NAN, 0.004]
+    assert np.array_equal(named.positions, model.pull_shape(ordered).positions)
+
+
 def test_wires_that_cannot_be_so_short_together_are_refused():
     with pytest.raises(InputError) as caught:
         Model(planar(6, FRICTION)).pull_shape([0.002, 0.004])

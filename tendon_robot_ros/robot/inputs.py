@@ -100,8 +100,9 @@ def wire_pulls(robot: Robot, pulls: TensionsLike) -> Floats:
         Unknown names, or values that are no lengths.
 
     """
-    named = named_columns(pulls)
-    ordered = _in_order('pulls', robot, pulls if named is None else robot.wound(named), np.nan)
+    if (named := named_columns(pulls)) is not None:
+        pulls = robot.wound({key: np.nan if x is None else x for key, x in named.items()})
+    ordered = _in_order('pulls', robot, pulls, np.nan)
     try:
         values = np.array(ordered, dtype=float).reshape(-1)
     except (TypeError, ValueError):
