@@ -10,7 +10,7 @@ from source_tree import ROOT
 from tendon_robot_ros.common.errors import EffectError, InputError
 from tendon_robot_ros.drivers.mock import MockDriver
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot import Section, load_robot
 from tendon_robot_ros.robot.description import tendon_offsets
 from tendon_robot_ros.simulation.hidden import CAUSES
 from tendon_robot_ros.simulation.plant import make_plant
@@ -142,6 +142,19 @@ def test_a_soft_cell_bends_in_proportion_and_the_others_do_not():
     ratio = bend[..., 0] / Model(plain).shapes(tensions).bend[..., 0]
     np.testing.assert_allclose(ratio[:, 11], 2.0, rtol=1e-9)
     np.testing.assert_allclose(np.delete(ratio, 11, axis=1), 1.0, rtol=1e-9)
+
+
+def test_the_cells_of_what_is_hidden_count_beyond_the_base_plate():
+    plain = robot(ARCS, effects={})
+    plate = Section('plate', 1, 1e-5, (1e3,), (1.0,), 'arc')
+    arm = replace(plain, sections=(plate, *plain.sections))
+    real = make_plant(arm, {'soft_cell': {'cell': 12, 'factor': 0.5}}, scatter=0.0)
+    assert np.flatnonzero(real.damage.stiffness != 1.0) == [12]
+    assert arm.cell_names[12] == 'cell 12'
+    real.built.stiffness[12] = 0.3
+    assert 'most cell 12: +30 %' in real.built.text(arm)[0]
+    with pytest.raises(EffectError, match=r'from 1 \(base\) to 30, got 31'):
+        make_plant(arm, {'soft_cell': {'cell': 31}})
 
 
 def test_a_force_bends_the_arm_up_to_its_place():

@@ -122,7 +122,7 @@ def _conclude(
     args: argparse.Namespace, plant: Plant, written: dict[str, str], following: str
 ) -> int:
     """Print what was written, the hidden effects, how the arm is built, what to type next."""
-    built = [] if args.exact else list(plant.built.text())
+    built = [] if args.exact else list(plant.built.text(plant.robot))
     lines = [f'written: {path}: {what}' for path, what in written.items()]
     lines.append(f'hidden:  {", ".join(args.hidden) or "nothing"}')
     lines += [*(f'built:   {line}' for line in built), f'next:    {PROGRAM} {following}']

@@ -26,7 +26,7 @@ SCATTER_MAX = 0.2  # [1] 1 sd of any imperfection, else cells softer by five of 
 
 
 class Damage:
-    """Hidden damage of a robot of n cells, at first none; cells count from 1 at the base."""
+    """Hidden damage of a robot of n cells, at first none; cells count as in their names."""
 
     def __init__(self, robot: Robot, seed: int) -> None:
         """Draw from the seed how gain and rotation vary from posture to posture."""
@@ -47,15 +47,17 @@ class Damage:
 
     def cell(self, number: float) -> int:
         """Return the index of a cell by its number."""
-        n = self.robot.cells
+        below = self.robot.plate_cells
+        n = self.robot.cells - below
         if number not in range(1, n + 1):
             raise EffectError(f'cell: expected a whole number from 1 (base) to {n}, got {number}')
-        return int(number) - 1
+        return below + int(number) - 1
 
 
 def soft_cell(damage: Damage, cell: float | None = None, factor: float = 0.6) -> None:
     """One cell is softer: its stiffness times `factor`."""
-    number = (2 * damage.robot.cells + 2) // 3 if cell is None else cell
+    own = damage.robot.cells - damage.robot.plate_cells
+    number = (2 * own + 2) // 3 if cell is None else cell
     damage.stiffness[damage.cell(number)] *= factor
 
 
@@ -275,8 +277,8 @@ class Built:
         """Return a robot without any."""
         return cls.draw(robot, Workmanship(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0)
 
-    def text(self) -> list[str]:
-        """Return a description of the imperfections."""
+    def text(self, robot: Robot) -> list[str]:
+        """Return a description of the imperfections of a robot."""
         degrees = np.degrees(np.concatenate([self.kink.ravel()[self.kink.ravel() != 0.0], [0.0]]))
         worst = int(np.argmax(np.abs(self.stiffness)))
         gains, holes = (
@@ -288,7 +290,7 @@ class Built:
         )
         return [
             f'cells scatter by {100.0 * np.std(self.stiffness):.1f} % in stiffness '
-            f'(most cell {worst + 1}: {100.0 * self.stiffness[worst]:+.0f} %), '
+            f'(most {robot.cell_names[worst]}: {100.0 * self.stiffness[worst]:+.0f} %), '
             f'kinks of {np.sqrt(np.mean(degrees**2)):.2f}°',
             f'inputs off by {gains}; holes by {holes}',
             f'tracker off by {shift} mm and {turn}°',
