@@ -20,7 +20,7 @@ from tendon_robot_ros.model.inverse import reach
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
 from tendon_robot_ros.model.tip_task import STREAM, Preferences, TipTask
-from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot import Section, load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
 
 SCALES = ((0.1, 1.0), (10.0, 1.0), (1.0, 1e3), (10.0, 1e3))  # of lengths, of stiffness
@@ -47,6 +47,19 @@ def test_a_limit_below_what_bends_the_arm_is_the_tension_that_counts():
     weak = replace(robot, tension_limits=(0.0, 0.01))
     assert natural_sizes(weak)['tension'] == 0.01
     assert natural_sizes(robot)['tension'] == pytest.approx(0.027 / 6 / 0.0055)
+
+
+def test_sizes_are_those_of_the_cells_that_bend_and_of_the_holes_that_are_listed():
+    robot = planar(6)
+    plate = Section('plate', 1, 1e-5, (1e6,), (1.0,), 'arc')
+    found = natural_sizes(replace(robot, sections=(plate, *robot.sections)))
+    for key, value in natural_sizes(robot).items():
+        assert found[key] == pytest.approx(value, rel=1e-2)
+    holes = ((0.0, 0.0), *[(0.0055, 0.0)] * 4, (0.0, 0.0))
+    listed = tuple(replace(t, base=holes[0], end=holes[-1], offsets=holes) for t in robot.tendons)
+    found = natural_sizes(replace(robot, tendons=listed))
+    assert found['radius'] == 0.0055
+    assert found['tension'] == pytest.approx(0.027 / 6 / 0.0055 * 6 / 4)
 
 
 def loaded(robot):

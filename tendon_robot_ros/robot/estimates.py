@@ -229,22 +229,20 @@ def natural_sizes(robot: Robot) -> dict[str, float]:
     """
     stiffness = [k for section in robot.sections for k in section.bending_stiffness]
     softness = sum(1.0 / k for k in stiffness)
-    radius = max(
-        (math.hypot(*offset) for tendon in robot.tendons for offset in (tendon.base, tendon.end)),
-        default=0.0,
-    )
-    radius = radius or 0.03 * robot.length  # tendons along the centroid
+    own = robot.cells - robot.plate_cells or robot.cells  # all of an arm as short as a plate
+    distances = [[math.hypot(*at) for at in t.offsets or (t.base, t.end)] for t in robot.tendons]
+    radius = max(map(max, distances)) or 0.03 * robot.length  # tendons along the centroid
     per_newton = max(
-        0.5 * (math.hypot(*t.base) + math.hypot(*t.end)) * sum(1.0 / k for k in stiffness[:cells])
-        for t, cells in zip(robot.tendons, robot.tendon_cells, strict=True)
+        sum(far) / len(far) * sum(1.0 / k for k in stiffness[:cells])
+        for far, cells in zip(distances, robot.tendon_cells, strict=True)
     )
     tension = min(1.0 / (per_newton or radius * softness), robot.tension_limits[1])
     force = 1.0 / (softness * robot.length)
     return {
         'radius': radius,
         'length': robot.length,
-        'bend': 1.0 / len(stiffness),
-        'stiffness': len(stiffness) / softness,
+        'bend': 1.0 / own,
+        'stiffness': own / softness,
         'tension': tension,
         'force': force,
         'moment': force * robot.length,

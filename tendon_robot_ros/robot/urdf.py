@@ -12,6 +12,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.rotations import about
 from . import Robot
+from .estimates import natural_sizes
 
 Transform = tuple[str, str, Floats, float]  # parent, child, rotation (3, 3), shift up [m]
 
@@ -109,7 +110,7 @@ def urdf(robot: Robot, prefix: str = '') -> str:
     a prefix, such as the one of the nodes' frames, the links begin with it, and the tip has a link
     of its own.
     """
-    radius = 1.15 * max(math.hypot(*at) for t in robot.tendons for at in (t.base, t.end))
+    radius = 1.15 * natural_sizes(robot)['radius']
     lengths = robot.cell_lengths.tolist()
     colours = [i % 2 for i, s in enumerate(robot.sections) for _ in range(s.cells)]
     lines = ['<?xml version="1.0"?>', f'<robot name={quoteattr(robot.name)}>', *_MATERIALS]
