@@ -145,6 +145,15 @@ def test_what_mujoco_cannot_say_stands_in_the_head():
     assert 'Not in this file' not in mjcf(Model(planar()))
 
 
+@pytest.mark.parametrize('gravity', [None, (0.0, 0.0, 0.0), DOWN])
+def test_masses_are_those_of_the_description_wherever_down_is(gravity):
+    robot = replace(planar(), effects={'gravity': {'linear_density': 0.3}}, gravity=gravity)
+    text = mjcf(Model(robot))
+    masses = mujoco.MjModel.from_xml_string(text).body_mass
+    assert masses.sum() == pytest.approx(0.3 * robot.length)
+    assert 'Masses are made up' not in text
+
+
 def test_dashes_in_a_name_do_not_end_the_head():
     text = mjcf(Model(replace(planar(), name='arm ---- 2')))
     assert text.startswith('<!--\narm - - - - 2, written by ')

@@ -113,17 +113,18 @@ class Laws:
 def hinges(model: Model, laws: Laws) -> Iterator[Hinge]:
     """Yield the pairs of hinges from the base to the tip."""
     robot, before = model.robot, 0.0
-    gravity = robot.gravity or (0.0, 0.0, 0.0)
-    weight, heavy = math.hypot(*gravity), any(e.stage == 'load' for e in laws.acting)
+    heavy = any(e.stage == 'load' for e in laws.acting)
+    # a mass is the same wherever down is
+    gravity = robot.gravity if robot.gravity and any(robot.gravity) else (0.0, 0.0, -1.0)
     for i, row in enumerate(model.arrays.cells):
         length, stiffness, mass_length, is_hinge, section, tendons, *beside = row.tolist()
         (stiffness,) = laws('stiffness', (stiffness,), tendons, section=int(section))
         rest = laws('rest', (0.0, 0.0), section=int(section))
         (twist,) = laws('torsion', (0.0,), 1.0, stiffness, section=int(section))
         mass = DENSITY * length
-        if heavy and weight:
+        if heavy:
             force = laws('load', (0.0, 0.0, 0.0), mass_length, *gravity, section=int(section))
-            mass = math.hypot(*force) / weight
+            mass = math.hypot(*force) / math.hypot(*gravity)
         parts = 1 if is_hinge else math.ceil(HINGES_MIN / robot.sections[int(section)].cells)
         half = 0.5 * length / parts
         for part in range(parts):
