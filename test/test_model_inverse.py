@@ -94,6 +94,14 @@ def test_what_is_no_target_is_refused(model, position, direction):
         model.reach(position, direction)
 
 
+def test_a_search_without_a_place_to_start_from_is_refused(model):
+    with pytest.raises(InputError, match='starts: expected a whole number from 1 on, got 0'):
+        model.reach([0.0, 0.0, 0.1], starts=0)
+    other = Model(load_robot(ROBOTS / 'kato_10_1_single.yaml'))
+    with pytest.raises(InputError, match='guess: expected a Shape of this robot'):
+        model.reach([0.0, 0.0, 0.1], guess=other.shape([0.1, 0.2]))
+
+
 def test_by_pulls_the_tensions_are_those_that_lengths_hold():
     """What comes back is where an arm goes whose wires have these lengths."""
     model = Model(load_robot(ROBOTS / 'kato_10_1.yaml'))

@@ -111,16 +111,19 @@ class Model(ForwardModel):
             Regions that no part of the arm may enter; a target that leads there is `nearest`, with
             the region named.
         starts : int
-            Number of starts all over the workspace that the search may try.
+            Number of starts all over the workspace that the search may try; 0: none but the guess.
 
         Raises
         ------
         InputError
-            Neither position nor direction, or not finite; a position that is no place in metres.
+            Neither position nor direction, or not finite; a position that is no place in metres;
+            a guess of another robot; neither a guess nor a start.
 
         """
         refuse_other_unit(self.robot, position)
-        if guess is not None and not isinstance(guess, Shape):
+        if guess is not None and not (
+            isinstance(guess, Shape) and guess.form.fields == self.form.fields
+        ):
             raise refusal('guess', 'a Shape of this robot', guess)
         task = replace(
             TipTask.at(self, position, direction, memory=memory),
@@ -129,7 +132,7 @@ class Model(ForwardModel):
             preferences=preferences,
             keep_out=keep_out or KeepOut(),
         )
-        return reach(task, Policy(starts=whole('starts', starts)))
+        return reach(task, Policy(starts=whole('starts', starts, 1 if guess is None else 0)))
 
     def tip_stiffness(self, shape: Shape, wires_held: bool = False) -> TipStiffness:
         """Return the compliance of the tip under a force; see `derivatives.tip_stiffness`."""
