@@ -39,6 +39,7 @@ class Recorder:
     by_topic: bool = False  # one PoseStamped topic per marker instead of a PoseArray
     tensions: bool = True  # else the efforts are NaN, as a driver gives them in pull mode
     lost: tuple = ()  # (marker, begin [s], end [s]) not seen then
+    silent: bool = False  # a lost marker has no message on its topic, else one of NaN
 
     def write(self, path, plan):
         """Follow a plan: shape, inputs, seconds to get there, seconds there."""
@@ -84,4 +85,6 @@ class Recorder:
         stamped = writer.types.types[POSE_STAMPED]
         for i, pose in enumerate(array.poses):
             late = time + i * 1_000_000
+            if self.silent and np.isnan(shape[i]).any():
+                continue
             writer.write(f'/tracker/m{i}', late, stamped(header=array.header, pose=pose))

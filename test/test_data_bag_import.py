@@ -80,6 +80,21 @@ def test_a_marker_that_was_lost_is_missing(tmp_path):
     assert_array_equal(data.counts, [[4, 4, 4], [2, 1, 2], [2, 2, 2]])
 
 
+@pytest.mark.parametrize(
+    ('lost', 'counts'),
+    [
+        ((1, 2.0, 6.0), [[4, 4, 4], [2, 1, 2], [2, 2, 2]]),
+        ((1, 8.0, 99.0), [[4, 2, 4], [2, 1, 2], [2, 0, 2]]),
+        ((1, 0.0, 12.0), [[4, 2, 4], [2, 1, 2], [2, 1, 2]]),
+    ],
+)
+def test_a_marker_whose_topic_is_silent_leaves_the_others_as_they_are(tmp_path, lost, counts):
+    recorder = Recorder(by_topic=True, rate=50.0, lost=(lost,), silent=True)
+    topics = Topics(markers={str(i + 1): f'tracker/m{i}' for i in range(3)})
+    data = import_bag(recorder.write(tmp_path / 'bag', LOADED_TWICE), SMALL, topics=topics).dataset
+    assert_array_equal(data.counts, counts)
+
+
 def test_every_marker_can_have_its_own_topic(tmp_path):
     bag = Recorder(by_topic=True, rate=50.0).write(tmp_path / 'bag', LOADED_TWICE)
     topics = Topics(markers={'3': 'tracker/m2', '1': '/tracker/m0'})

@@ -71,7 +71,7 @@ def motion(recording: Recording, inputs: Floats, rule: Rule) -> ArmMotion:
     """
     window = rule.duration / 2
     ends = [track.times[[0, -1]] for track in recording.tracks]
-    start, end = max(e[0] for e in ends), min(e[1] for e in ends)
+    start, end = min(e[0] for e in ends), max(e[1] for e in ends)
     size = sum(track.positions.shape[1] for track in recording.tracks)
     if (end - start) / window * STEPS_PER_WINDOW * size > VALUES_MAX:
         problem = f'{end - start:.0f} s are too long to look for {rule.duration:g} s of stillness'
@@ -306,6 +306,8 @@ def _noise(positions: Floats) -> float:
 
 def _mean_quaternion(quaternions: Floats) -> Floats:
     """Return the mean of quaternions that differ little, (S, J, 4) to (J, 4)."""
+    if not len(quaternions):  # no message in all that time
+        return np.full(quaternions.shape[1:], np.nan)
     known = np.abs(np.linalg.norm(quaternions, axis=2, keepdims=True) - 1.0) < 0.05
     values = np.where(known, quaternions, 0.0)
     reference = values[known.argmax(axis=0)[:, 0], np.arange(values.shape[1])]
