@@ -87,6 +87,14 @@ def test_disabling_leaves_no_effort_on_the_named_tendon():
     assert made.link.sent[-1] == pytest.approx([0.0, -RADIUS, RADIUS, -RADIUS])
 
 
+def test_disabling_in_pull_mode_moves_no_joint():
+    made = driver('pull')
+    made.link.silent = True
+    with pytest.raises(DriverError, match='is joint_state_broadcaster active'), made:
+        made.enable()
+    assert made.link.sent == []
+
+
 def test_silent_joints_are_named_and_torque_is_refused():
     made = driver()
     made.link.silent = True

@@ -156,11 +156,9 @@ class Ros2ControlDriver(hardware.HardwareDriver):
         """No effort for the named inputs, or all; in pull mode they stay where they are."""
         which = self._chosen(inputs)
         self._on &= ~which
-        if not self._is_open:
-            return
-        if self.mode == 'tension':
+        if self._is_open and self.mode == 'tension':
             self._goal = np.where(which, 0.0, self._goal)
-        self._send()
+            self._send()
 
     def write(self, command: Floats) -> None:
         """Command every input within limits and rates; what is off stays off."""
