@@ -114,6 +114,14 @@ def test_a_weight_that_swings_is_refused(robot_file):
         link.close()
 
 
+def test_a_board_that_gives_no_counts_is_refused(monkeypatch):
+    link = BoardLink('/dev/none', 1_000_000)
+    monkeypatch.setattr(link, 'send', lambda *_: 0)
+    monkeypatch.setattr(link, 'wait_for', lambda *_: [])
+    with pytest.raises(DriverError, match='channel 0: no values of its load cell'):
+        link.measure_counts(0, 0.0, 0.0)
+
+
 def test_weights_that_the_counts_do_not_follow_are_refused():
     with pytest.raises(InputError, match='do not follow the weight'):
         fit_counts([CountsPoint(t, 8000.0 + t, 30.0) for t in (0.0, 1.0, 2.0)])

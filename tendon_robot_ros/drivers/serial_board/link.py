@@ -257,7 +257,7 @@ class BoardLink(PortLink):
         except PortLostError as error:
             raise DriverError(f'{error}: lost while calibrating') from None
         where, values = f'{self.path}: channel {channel}', np.array(counts)
-        values = values[np.append(True, np.diff(values) != 0.0)]  # the same value, read twice
+        values = values[np.diff(values, prepend=np.nan) != 0.0]  # the same value, read twice
         if len(values) < READINGS_MIN:
             raise DriverError(f'{where}: no values of its load cell')
         if np.max(np.abs(values)) >= Protocol.CELL_COUNTS_MAX:
