@@ -183,6 +183,16 @@ def test_rows_that_were_taken_after_the_arm_had_settled_are_each_a_measurement(t
     assert_allclose(again.dataset.inputs, imported.dataset.inputs)
 
 
+@pytest.mark.parametrize('rows', [slice(1, None), slice(None, -1)])
+def test_tables_without_times_that_differ_in_length_are_refused(rows):
+    frame = walked()[0].iloc[::48].drop(columns='time_s')
+    places = [name for name in frame.columns if '[mm]' in name]
+    tables = frame.drop(columns=places), frame[places]
+    for one, other in ((tables[0][rows], tables[1]), (tables[0], tables[1][rows])):
+        with pytest.raises(DataSetError, match=r'rows, and DataFrame with the inputs .* belong'):
+            import_table([one, other], ARM, {'up': 'y'})
+
+
 def walked(seed=4, drift=0.0, **hidden):
     """
     Return a table of an arm that goes from posture to posture in any order, and its visits.

@@ -193,6 +193,13 @@ def _trace(
         )
     clocks, drift = '', drift or 0.0
     if not recipe.time:
+        if len(input_table) != len(marker_table):
+            raise DataSetError(
+                marker_table.name,
+                f'has {len(marker_table):,} rows, and {input_table.name} with the inputs '
+                f'{len(input_table):,}: which belong together?',
+                'give both a row for each measurement, or name their columns of times',
+            )
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
         moved = np.linalg.norm(np.nanmax(positions, axis=0) - np.nanmin(positions, axis=0), axis=1)
         is_recording = recipe.time is None and len(positions) > ROWS_MAX
