@@ -49,6 +49,13 @@ def test_one_data_set_stays_as_it_is_and_joined_ones_join_again():
     assert part.part.tolist() == [0, 1]
 
 
+def test_postures_of_data_sets_of_one_name_have_names_of_their_own():
+    free = loaded()[0]
+    both = join([free, free])
+    assert (both.postures[0], both.postures[5]) == ('lab/free no 1/0', 'lab/free no 2/0')
+    assert both.select(both.postures[:1]).postures == both.postures[:1]
+
+
 def test_what_is_known_acts_on_its_own_postures_only():
     both = join(loaded())
     predictor = Predictor(both, ROBOT, simulated.CATALOGUE)

@@ -455,6 +455,8 @@ def join(datasets: Sequence[DataSetLike]) -> DataSet:
     names = [dataset.name.rstrip('/').rpartition('/')[2] for dataset in sets]
     if len(set(names)) < len(names):  # the last parts of two folders are the same
         names = [dataset.name for dataset in sets]
+    if len(set(names)) < len(names):  # of objects even these, 'arrays' for example
+        names = [f'{name} no {i}' for i, name in enumerate(names, 1)]
     parts: list[Part] = []
     part: list[Ints] = []  # index of the part of every posture
     for name, dataset in zip(names, sets, strict=True):
