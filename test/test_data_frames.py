@@ -126,6 +126,15 @@ def test_a_frame_that_does_not_fit_is_refused(dataset, change, message):
         DataSet.from_frame(change(dataset.frame()), dataset.robot)
 
 
+def test_a_wire_that_is_slack_in_some_trials_only_is_refused(dataset):
+    pulls = 1e-3 * dataset.inputs_by_trial
+    pulled = replace(dataset, input='displacement', trial_inputs=pulls)
+    frame = pulled.frame()
+    frame.loc[(frame['posture'] == '2') & (frame['trial'] == '1'), 'left'] = np.nan
+    with pytest.raises(DataSetError, match=r"posture '2': an input is nan \(slack\) in some"):
+        DataSet.from_frame(frame, dataset.robot, input='displacement')
+
+
 def test_errors_and_candidates_are_tables(dataset):
     comparison = compare(dataset)
     errors = comparison.frame()

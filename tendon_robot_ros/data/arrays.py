@@ -171,11 +171,13 @@ def read_frame(
             f'{kept[row, column]:g}',
             'a trial has one value for each input',
         )
-    mean, arrays['trial_inputs'] = mean_inputs(each, ~np.isinf(each[..., 0]))
+    mean, arrays['trial_inputs'] = mean_inputs(each, ~np.isinf(each[..., 0]), postures, name)
     return arrays | {'inputs': mean}, markers, arc_lengths
 
 
-def mean_inputs(each: Floats, measured: Bools) -> tuple[Floats, Floats | None]:
+def mean_inputs(
+    each: Floats, measured: Bools, postures: Sequence[str], name: str
+) -> tuple[Floats, Floats | None]:
     """
     Return the inputs of postures, (P, m), and of their trials where these differ, (P, Q, m).
 
@@ -185,9 +187,22 @@ def mean_inputs(each: Floats, measured: Bools) -> tuple[Floats, Floats | None]:
         Of every trial.
     measured : (P, Q)
         Whether there is such a trial.
+    postures, name
+        For messages.
+
+    Raises
+    ------
+    DataSetError
+        An input is nan, which is slack, in some trials of a posture only.
 
     """
     known = measured[..., None]
+    slack = np.isnan(each) & known
+    mixed = (slack.any(axis=1) & ~(slack | ~known).all(axis=1)).any(axis=1)
+    if mixed.any():
+        problem = 'an input is nan (slack) in some of its trials and a number in others'
+        remedy = 'give postures of different inputs different names'
+        raise DataSetError(f'{name}: posture {postures[int(mixed.argmax())]!r}', problem, remedy)
     mean = np.where(known, each, 0.0).sum(axis=1) / known.sum(axis=1)
     spread = np.where(known, np.abs(each - mean[:, None]), 0.0)
     differ = np.nan_to_num(spread).max() >= RESOLUTION

@@ -391,7 +391,7 @@ def segments_dataset(
         arrays[key] = np.full((*size, *rows.shape[1:]), np.nan)
         arrays[key][at] = rows
     inputs, turned = arrays.pop('inputs'), arrays['orientations']
-    mean, arrays['trial_inputs'] = mean_inputs(inputs, filled > 0)
+    mean, arrays['trial_inputs'] = mean_inputs(inputs, filled > 0, postures, bag)
     known = np.isfinite(turned)
     if np.all(turned[known].reshape(-1, 4) == NO_ROTATION):
         del arrays['orientations']
