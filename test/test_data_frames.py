@@ -119,6 +119,15 @@ def test_arrays_in_other_units_or_shapes_are_refused(change, message):
             'row 0: left is 9, in another row',
         ),
         (lambda f: f.drop(columns='arc_length')[f['marker'] != '2'], 'there are 14, none with'),
+        (lambda f: f[:0], 'DataFrame: has no row; a table over time goes'),
+        (
+            lambda f: f.assign(arc_length=[0.02, *f['arc_length'][1:]]),
+            "row 0: marker '1' is at 0.02 m; in another row it is at 0.00693333 m",
+        ),
+        (
+            lambda f: f.assign(arc_length=[np.nan, *f['arc_length'][1:]]),
+            "row 0: marker '1' is at nan m; in another row",
+        ),
     ],
 )
 def test_a_frame_that_does_not_fit_is_refused(dataset, change, message):

@@ -133,6 +133,8 @@ def read_frame(
                 f'a row per posture and marker needs posture, marker, x, y, z and '
                 f'{", ".join(inputs)}; {HINT}',
             )
+    if not len(frame):
+        raise DataSetError(name, 'has no row', HINT)
     postures, posture = _codes(frame['posture'])
     markers, marker = _codes(frame['marker'])
     trials: tuple[str, ...] = ('0',)
@@ -156,8 +158,14 @@ def read_frame(
             arrays[key][posture, trial, marker] = _numbers(frame, columns, name)
     arc_lengths = None
     if 'arc_length' in frame.columns:
-        arc_lengths = np.full(len(markers), np.nan)
-        arc_lengths[marker] = _numbers(frame, ('arc_length',), name)[:, 0]
+        arc_lengths, places = np.empty(len(markers)), _numbers(frame, ('arc_length',), name)[:, 0]
+        arc_lengths[marker] = places
+        other = ~np.isclose(arc_lengths[marker], places, rtol=0.0, atol=RESOLUTION)
+        if other.any():
+            row = int(other.argmax())
+            problem = f'marker {markers[marker[row]]!r} is at {places[row]:g} m'
+            remedy = f'in another row it is at {arc_lengths[marker[row]]:g} m: write one place'
+            raise DataSetError(f'{name}, row {row}', problem, remedy)
     pulled = _numbers(frame, inputs, name)
     each = np.full((*sizes[:2], len(inputs)), np.inf)  # of every trial, inf where there is none
     each[posture, trial] = pulled
