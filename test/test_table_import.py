@@ -3,6 +3,7 @@
 import csv
 import re
 from dataclasses import replace
+from datetime import datetime, timedelta
 from itertools import pairwise
 
 import numpy as np
@@ -107,6 +108,13 @@ def other_units(frame):
             other[name] = 1e3 * frame[name]
             renamed[name] = 't [ms]'
     return other.rename(columns=renamed)
+
+
+def test_dates_whose_whole_seconds_have_no_decimals_are_times(calm):
+    written = [str(datetime(2026, 3, 1) + timedelta(seconds=t)) for t in calm['time_s'].round(3)]
+    assert {len(text) for text in written} == {19, 26}
+    dated = import_table(calm.drop(columns='time_s').assign(time=written), ARM, {'up': 'y'})
+    assert_allclose(dated.dataset.mean, import_table(calm, ARM, {'up': 'y'}).dataset.mean)
 
 
 def test_units_do_not_matter(calm):

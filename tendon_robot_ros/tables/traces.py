@@ -403,7 +403,10 @@ def _times(table: RawTable, recipe: Recipe) -> Floats:
     assert column is not None
     written = table.columns[column]
     if table.is_text(column):
-        stamps = pandas().to_datetime(written, errors='coerce', utc=True)
+        # whole seconds may have no decimals, as Python writes them
+        stamps = pandas().to_datetime(written, format='ISO8601', errors='coerce', utc=True)
+        if stamps.isna().mean() > 0.5:
+            stamps = pandas().to_datetime(written, errors='coerce', utc=True)
     if table.is_text(column) and stamps.isna().mean() <= 0.5:  # dates
         times = np.asarray((stamps - stamps[0]).total_seconds())
     else:
