@@ -14,6 +14,7 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.common.words import find_unit, read_quantity, split_name
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.tables import import_table
 from tendon_robot_ros.tables.columns import (
     RawTable,
     guess_inputs,
@@ -144,6 +145,13 @@ def test_two_gigabytes_are_refused_by_their_size_before_they_are_read(tmp_path):
 def test_a_file_of_another_kind_is_refused(tmp_path, name):
     with pytest.raises(DataSetError, match=r'is (no (table|Parquet|\.c3d)|a file of Excel) ?'):
         read(tmp_path, PLAIN, name)
+
+
+def test_a_frame_that_has_a_column_twice_is_refused():
+    pandas = pytest.importorskip('pandas')
+    frame = pandas.DataFrame([[0.0, 1.0, 1.0]], columns=['time', 'T1', 'T1'])
+    with pytest.raises(DataSetError, match="Frame: column 'T1' stands twice; rename one of them"):
+        import_table(frame, 'kato_10_1')
 
 
 def test_parquet_and_a_frame_give_the_same_columns(tmp_path):

@@ -124,6 +124,8 @@ def table_of(
     """Sort the columns of a frame into numbers and texts."""
     if not len(frame):
         raise DataSetError(name, 'has no row below its header', 'export it again')
+    for column in frame.columns[frame.columns.duplicated()]:
+        raise DataSetError(name, f'column {short(str(column))} stands twice', 'rename one of them')
     columns, units = {}, dict(units)
     for column in frame.columns:
         values = frame[column]
