@@ -175,6 +175,12 @@ def test_it_is_said_where_the_way_to_a_posture_is_taken_not_to_matter(calm):
     assert told in import_table(walked()[0], ARM, {'up': 'y'}).text()
 
 
+@pytest.mark.parametrize('rows', [slice(1), slice(9)])
+def test_rows_at_one_time_are_no_duration_that_could_be_shorter(calm, rows):
+    with pytest.raises(DataSetError, match=r'lasts 0 s, .*; let the arm rest longer'):
+        import_table(calm[rows].assign(time_s=0.0), ARM, {'up': 'y'})
+
+
 def test_rows_that_were_taken_after_the_arm_had_settled_are_each_a_measurement(tmp_path):
     """Too far apart to show stillness; said, and asked for with `--column time=none`."""
     (frame, places), path = walked(), tmp_path / 'rows.csv'

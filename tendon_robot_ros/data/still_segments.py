@@ -108,7 +108,7 @@ def never_still(
     shortest = 3.999 * min(steps, default=0.0)  # times are rounded
     shorter = min(0.5 * lasts, 0.5 * rule.duration)
     remedy = 'let the arm rest longer in every posture'
-    if shorter >= shortest:
+    if shorter >= shortest > 0.0:
         remedy = f'allow a shorter duration, say {shorter:.2g}'
     limit, duration = 1e3 * rule.speed, rule.duration  # [mm/s] and [s]
     if lasts < duration:
