@@ -350,6 +350,21 @@ def test_a_slipped_trial_is_named_and_left_out(noisy):
     assert np.linalg.norm(away, axis=1).argmax() == q
 
 
+def test_postures_and_trials_that_a_recipe_leaves_out_are_not_there(calm, tmp_path):
+    every = import_table(calm, ARM, {'up': 'y'})
+    left = import_table(calm, ARM, {'up': 'y', 'leave_out': [['1', '0']]})
+    assert left.dropped == (*every.dropped, 'posture 1 trial 0: left out, as leave_out says')
+    others = [i for i, name in enumerate(every.dataset.postures) if name != '1']
+    assert len(left.predicted) == len(others)
+    saved = load_dataset(left.save(tmp_path / 'set'))
+    assert_allclose(saved.inputs, every.dataset.inputs[others])
+    again = import_table(calm, ARM, tmp_path / 'set' / 'import.yaml')
+    assert_allclose(again.dataset.positions, left.dataset.positions)
+    names = [[posture, '0'] for posture in every.dataset.postures]
+    with pytest.raises(DataSetError, match='leave_out: leaves no trial'):
+        import_table(calm, ARM, {'up': 'y', 'leave_out': names})
+
+
 def test_gaps_rest_and_jumps_are_told(noisy):
     jumping = noisy.copy()
     column = next(name for name in noisy.columns if name.endswith('_x [mm]'))

@@ -116,6 +116,7 @@ def import_table(
     predictor = Predictor(final, final.robot, catalogue)
     predicted = predictor.markers({})
     assert predicted is not None  # this robot had equilibria in these postures above
+    final, predicted = _without_empty(final, predicted)
     return ImportedTable(
         dataset=final,
         recipe=_written_out(chosen.recipe, tables, markers, measured, placed),
@@ -142,6 +143,14 @@ def import_table(
             *(() if placed.frame_warnings else _offset_warnings(final, predicted, catalogue)),
         ),
     )
+
+
+def _without_empty(dataset: DataSet, predicted: Floats) -> tuple[DataSet, Floats]:
+    """Drop the postures whose trials are all left out, where no other was reached from them."""
+    if dataset.path != FROM_STRAIGHT or dataset.trials.all():
+        return dataset, predicted
+    kept = np.flatnonzero(dataset.trials)
+    return dataset.select(dataset.postures[p] for p in kept), predicted[kept]
 
 
 def _written_out(

@@ -324,7 +324,9 @@ class Placed:
             return replace(dataset, positions=positions.round(9)), frame
 
         dataset, self.frame = placed(raw if pairs is None else _without(raw, pairs))
+        self._why = 'left out, as leave_out says'
         if pairs is None:
+            self._why = 'the other trials contradict (a slipped tendon?)'
             outliers = find_outliers(Predictor(dataset, robot, catalogue), {})
             which = np.argwhere(outliers.trials).tolist()
             pairs = tuple((raw.postures[p], raw.trial_names[q]) for p, q in which)
@@ -377,7 +379,7 @@ class Placed:
         names = [f'posture {posture} trial {trial}' for posture, trial in self.left_out]
         more = len(names) - LISTED_MAX
         shown = listed(names if more < 2 else [*names[:LISTED_MAX], f'{more} more'])
-        return [f'{shown}: the other trials contradict (a slipped tendon?)']
+        return [f'{shown}: {self._why}']
 
 
 def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:
@@ -387,6 +389,8 @@ def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:
             problem = f'there is no posture {posture!r}, trial {trial!r}'
             raise DataSetError(f'{dataset.name}: leave_out', problem, 'take that line out')
         positions[dataset.postures.index(posture), dataset.trial_names.index(trial)] = np.nan
+    if np.isnan(positions).all():
+        raise DataSetError(f'{dataset.name}: leave_out', 'leaves no trial', 'take a line out')
     return replace(dataset, positions=positions)
 
 
