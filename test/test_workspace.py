@@ -106,6 +106,7 @@ def test_the_command_writes_table_arrays_and_page(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert 'opposite sides' in printed
     assert 'no posture at 720°' in printed
+    assert 'a smaller --step or a higher --tension-max' in printed
     rows = (out / 'postures.csv').read_text().splitlines()
     with np.load(out / 'workspace.npz') as arrays:
         assert len(rows) - 1 == len(arrays['tensions']) == len(arrays['pair'])

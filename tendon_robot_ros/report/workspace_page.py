@@ -64,7 +64,7 @@ def missing(workspace: Workspace) -> list[str]:
     return [
         f'no posture at {degree(view)} within ±{degree(workspace.tolerance)}: '
         f'the largest tip angle is {degree(workspace.largest)}; ask for another angle, a larger '
-        '--tolerance, a smaller --step or a higher --limit'
+        '--tolerance, a smaller --step or a higher --tension-max'
         for view in workspace.views
         if not workspace.of(view)
     ]
