@@ -8,6 +8,7 @@ pytest.importorskip('rosbags')
 
 from recorded import BENT, LEFT, LOADED_TWICE, REST, RIGHT, SMALL, STRAIGHT, TURNED, Recorder
 
+from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.data.bag_reader import Topics
 from tendon_robot_ros.data.loading import draw_segments, import_bag, summary
 from tendon_robot_ros.data.still_segments import Rule
@@ -93,6 +94,17 @@ def test_a_marker_whose_topic_is_silent_leaves_the_others_as_they_are(tmp_path, 
     topics = Topics(markers={str(i + 1): f'tracker/m{i}' for i in range(3)})
     data = import_bag(recorder.write(tmp_path / 'bag', LOADED_TWICE), SMALL, topics=topics).dataset
     assert_array_equal(data.counts, counts)
+
+
+def test_nothing_is_measured_before_the_first_tendon_state(tmp_path):
+    late = Recorder(since=9.0).write(tmp_path / 'late', LOADED_TWICE)
+    data = import_bag(late, SMALL).dataset
+    assert_allclose(data.inputs, [RIGHT, REST, LEFT], atol=1e-3)
+    assert_allclose(data.mean, [TURNED, STRAIGHT, BENT], atol=1e-4)
+    assert_array_equal(data.trials, [2, 2, 1])
+    last = Recorder(since=23.3).write(tmp_path / 'last', LOADED_TWICE)
+    with pytest.raises(DataSetError, match='inputs and markers are hardly recorded at the same'):
+        import_bag(last, SMALL)
 
 
 def test_every_marker_can_have_its_own_topic(tmp_path):

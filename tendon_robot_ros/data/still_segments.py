@@ -72,6 +72,7 @@ def motion(recording: Recording, inputs: Floats, rule: Rule) -> ArmMotion:
     window = rule.duration / 2
     ends = [track.times[[0, -1]] for track in recording.tracks]
     start, end = min(e[0] for e in ends), max(e[1] for e in ends)
+    start = max(start, recording.state_times[0])  # what the inputs were before, nothing tells
     size = sum(track.positions.shape[1] for track in recording.tracks)
     if (end - start) / window * STEPS_PER_WINDOW * size > VALUES_MAX:
         problem = f'{end - start:.0f} s are too long to look for {rule.duration:g} s of stillness'
@@ -119,6 +120,9 @@ def never_still(
             'whether the arm stands still'
         )
         remedy = f'ask for a duration of {2.0 * shortest:.2g} or more'
+    elif not any(len(moved.times) for moved in motions):
+        problem = 'inputs and markers are hardly recorded at the same time'
+        remedy = 'record both from beginning to end'
     elif slowest == np.inf:
         problem, remedy = 'no marker was ever seen', 'record the markers again'
     elif slowest < limit:
