@@ -455,6 +455,23 @@ def test_two_tables_of_one_recording_are_joined_on_time(calm):
         import_table([tensions, tensions, markers], ARM)
 
 
+def test_nothing_is_measured_where_the_inputs_have_ended(calm):
+    """Nor before they begin."""
+    places = [name for name in calm.columns if '[mm]' in name]
+    inputs, markers = calm.drop(columns=places), calm[['time_s', *places]]
+    whole = import_table(calm, ARM, {'up': 'y'}).dataset
+    for rows, delay in ((inputs['time_s'] < 12.5, 0.0), (inputs['time_s'] > 9.0, -9.05)):
+        part = import_table([inputs[rows], markers], ARM, {'up': 'y', 'delay': delay})
+        assert part.frame.residual < 3e-4
+        told = 'marker readings are none: the inputs end before'
+        assert any(line.endswith(told) for line in part.dropped) == (delay == 0.0)
+        for tension, place in zip(part.dataset.inputs, part.dataset.mean, strict=True):
+            same = np.abs(whole.inputs - tension).max(axis=1).argmin()
+            assert_allclose(place, whole.mean[same], atol=5e-4)
+    with pytest.raises(DataSetError, match='begins after DataFrame with the inputs has ended'):
+        import_table([inputs, markers], ARM, {'up': 'y', 'delay': 1000.0})
+
+
 @pytest.mark.parametrize('delay', [-12.4, 0.0, 0.37, 5.0])
 def test_the_delay_of_a_clock_of_its_own_is_found_said_and_written(noisy, delay):
     tensions = noisy[[name for name in noisy.columns if '[mm]' not in name]]

@@ -221,6 +221,13 @@ def _trace(
             times = delay + (1.0 + drift) * times
         else:
             delay = None
+        late = times > state_times[-1]
+        if late.all():
+            problem = f'begins after {input_table.name} with the inputs has ended'
+            raise DataSetError(marker_table.name, problem, 'correct --delay')
+        if late.any():  # what the inputs were then, nothing tells
+            unseen['the inputs end before'] = np.isfinite(positions[late, :, 0]).sum(axis=0)
+            positions[late] = np.nan
     cut, exchanges = np.zeros((0, 5)), list[tuple[int, int, int]]()
     if recipe.time:
         cut = _cut_jumps(positions, times)
