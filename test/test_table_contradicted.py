@@ -136,6 +136,13 @@ def test_markers_beside_the_backbone_are_noticed_and_can_be_said():
     assert again.dataset.markers[0].offset == (0.006, -0.003, 0.0)
 
 
+def test_no_marker_sits_farther_beside_an_arm_than_it_is_long(calm):
+    """All postures are taken for one, so that no bend tells an offset from a shift."""
+    imported = import_table(calm, ARM, {'up': 'y', 'same': 100.0})
+    assert imported.dataset.postures == ('0',)
+    assert not any('beside the backbone' in line for line in imported.look)
+
+
 def test_gravity_is_told_by_the_up_of_the_tracker(calm):
     data = import_table(calm, replace(ARM, gravity=None), {'up': 'y'}).dataset
     assert_allclose(data.gravity, [-9.80665, 0.0, 0.0], atol=0.15)

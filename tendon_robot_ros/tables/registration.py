@@ -239,9 +239,9 @@ def side_offset(
     estimate, without = (np.linalg.lstsq(a, values)[0] for a in (columns, columns[:, 2:]))
     residual, residual_before = values - columns @ estimate, values - columns[:, 2:] @ without
     x, y = estimate[:2].tolist()
-    if np.hypot(x, y) < NOISE_FACTOR * TRACKER_NOISE_M or residual @ residual > OFFSET_GAIN**2 * (
-        residual_before @ residual_before
-    ):
+    # beyond the length it is another shift: of an arm that does not bend nothing tells them apart
+    beside = NOISE_FACTOR * TRACKER_NOISE_M <= np.hypot(x, y) < dataset.robot.length
+    if not beside or residual @ residual > OFFSET_GAIN**2 * (residual_before @ residual_before):
         return None
     return round(x, 4), round(y, 4), 0.0
 
