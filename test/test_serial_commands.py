@@ -114,6 +114,13 @@ def test_a_weight_that_swings_is_refused(robot_file):
         link.close()
 
 
+@pytest.mark.parametrize('mass', ['0', '51', 'nan'])
+def test_a_mass_that_no_weight_has_is_refused(mass, capsys):
+    call = 'motors calibrate serial board.yaml --robot arm.yaml --tendon left --weights 0.1'
+    assert main([*call.split(), mass]) == 1
+    assert '--weights: expected masses from 0 to 50 kg, got [0.1, ' in capsys.readouterr().err
+
+
 def test_a_board_that_gives_no_counts_is_refused(monkeypatch):
     link = BoardLink('/dev/none', 1_000_000)
     monkeypatch.setattr(link, 'send', lambda *_: 0)

@@ -116,7 +116,7 @@ class Calibrate:
             )
         if args.tendon is None or args.weights is None:
             raise InputError('motors calibrate: expected --tendon and --weights, or --check')
-        if min(args.weights) <= 0.0 or max(args.weights) > 50.0:
+        if not all(0.0 < mass <= 50.0 for mass in args.weights):
             raise InputError(f'--weights: expected masses from 0 to 50 kg, got {args.weights}')
         if Path(args.output).exists():
             _content(args.output)  # lines of other tendons in it are kept
