@@ -115,6 +115,13 @@ def test_every_marker_can_have_its_own_topic(tmp_path):
     assert_allclose(data.mean, [BENT[[2, 0]], TURNED[[2, 0]]], atol=1e-4)
 
 
+def test_one_topic_for_two_markers_is_refused(tmp_path):
+    bag = Recorder(by_topic=True, rate=50.0).write(tmp_path / 'bag', LOADED_TWICE[:1])
+    topics = Topics(markers={'1': 'tracker/m0', '2': '/tracker/m0'})
+    with pytest.raises(DataSetError, match='/tracker/m0 is given for marker 1 and for marker 2'):
+        import_bag(bag, SMALL, topics=topics)
+
+
 def test_a_topic_of_the_tip_needs_no_description(tmp_path):
     bag = Recorder(by_topic=True, rate=50.0).write(tmp_path / 'bag', LOADED_TWICE)
     data = import_bag(bag, SMALL, topics=Topics(markers={'tip': 'tracker/m2'})).dataset

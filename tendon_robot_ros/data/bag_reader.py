@@ -221,6 +221,9 @@ def _roles(bag: str, types: Mapping[str, str], topics: Topics) -> dict[str, str]
             raise DataSetError(
                 bag, f'topic {name} {problem}', f'name one that is a {kind}; there: {known}'
             )
+        if other := roles.get(name_in_bag):
+            problem = f'topic {name_in_bag} is given for {other} and for {role}'
+            raise DataSetError(bag, problem, 'give each a topic of its own')
         roles[name_in_bag] = role
     return roles
 
