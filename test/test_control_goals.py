@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from control_rig import Rig, reachable
+from control_rig import CYCLE, Rig, reachable
 
 from tendon_robot_ros.control import Refusal, Target
 from tendon_robot_ros.control.inputs import Trajectory
@@ -50,6 +50,28 @@ def test_poses_are_reached_one_after_the_other():
     where = [step.position for step in goal.steps]
     for (_, tensions), place in zip(reached[1:], where, strict=False):
         assert rig.core.model.shape(tensions).tip_position == pytest.approx(place, abs=1e-4)
+
+
+def test_with_a_tracker_too_a_pose_is_reached_before_the_next_is_asked_for():
+    rig, steps = Rig(tip_gain=2.0), [replace(one, direction=None) for one in targets(NEAR, FAR)]
+    goal, shift = MotionGoal(steps), np.array([0.003, 0.0, 0.001])  # [m] of the arm from its model
+
+    def tip():
+        return rig.core.model.shape(rig.tensions).tip_position + shift
+
+    def look(rig):
+        if round(rig.now / CYCLE) % 6 == 0:
+            rig.core.tip_measured(rig.now, tip())
+
+    rig.run(0.1, look)
+    goal.begin(rig.core, rig.now)
+    for step in steps:
+        before, outcome = goal.reached, None
+        while goal.reached == before and outcome is None and rig.now < 20.0:
+            rig.run(CYCLE, look)
+            outcome = goal.update(rig.core, rig.now)
+        assert tip() == pytest.approx(step.position, abs=3e-4)
+    assert outcome.code == ''
 
 
 def test_a_pose_that_is_not_reached_ends_the_goal_and_says_which():

@@ -129,7 +129,7 @@ def _measured_condition(core: ControllerCore, now: float) -> ControllerStatus | 
     if core.loop.abandoned:
         message = f'the closed loop was left: {core.loop.abandoned}; the model says where'
         return ControllerStatus(WARN, 'nearest', message)
-    doubt, remainder = '', core.loop.remainder(now)
+    doubt, remainder = '', core.loop.remainder(now, core.target)
     if core.loop.estimate is not None:  # a bias that is too large for a calibrated model
         offset = float(np.linalg.norm(core.loop.estimate.bias))
         robot = core.model.robot

@@ -231,9 +231,10 @@ class TipLoop(TipCorrection):
             'measured_error (m)': f'{np.linalg.norm(self._error):.4g}',
         }
 
-    def remainder(self, now: float) -> Remainder | None:
-        """Return the remaining error of the tip once it does not change any more."""
-        return None if self.why_frozen(now) else self.progress.settled(now)
+    def remainder(self, now: float, target: object) -> Remainder | None:
+        """Return the remaining error at a target once it does not change any more."""
+        measured = self.progress.target is target and not self.why_frozen(now)
+        return self.progress.settled(now) if measured else None
 
     def why_frozen(self, now: float) -> str:
         """Return why the loop does not run, '' while it runs."""
