@@ -178,6 +178,19 @@ def test_the_same_target_again_and_again_is_no_new_one_but_a_reset_is():
     assert pair.code() == 'reached'
 
 
+def test_the_same_place_without_its_direction_is_a_new_target():
+    pair, target = Pair('kato_10_1', 'tension'), reachable()
+    pair.run(0.1)
+    pair.core.aim(target)
+    pair.run(0.5)
+    pair.run(0.5, frozen=True)
+    pair.run(0.1)
+    assert pair.core.driver.released and pair.core.driver.dropped.same(target)
+    pair.core.aim(replace(target, direction=None))
+    pair.run(2.0)
+    assert controller_status(pair.core, pair.now).code == 'reached'
+
+
 def test_while_the_cause_is_there_a_target_is_refused_with_it():
     pair = Pair('kato_10_1', 'tension')
     pair.bent()

@@ -61,8 +61,7 @@ class Target:
 
     def same(self, other: Target) -> bool:
         """Whether another target is the same, including its stamp."""
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return all(np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b for a, b in pairs)
+        return all(map(np.array_equal, vars(self).values(), vars(other).values()))
 
 
 @dataclass(frozen=True)
