@@ -104,6 +104,35 @@ def test_a_cancelled_goal_holds_the_arm_where_it_is_commanded_to_be():
     assert rig.code() == 'holding'
 
 
+def test_a_goal_is_cancelled_before_the_driver_is_heard_and_in_the_cycle_of_a_stop():
+    rig, goal = Rig(resume=True, rate_limit=0.5), MotionGoal(targets(NEAR))
+    rig.alive = False
+    assert pursue(rig, goal, 0.2) is None  # it waits for the driver
+    goal.cancel(rig.core, rig.now)
+    rig.alive = True
+    rig.run(1.0)
+    assert rig.code() == 'holding'
+    assert pursue(rig, goal, 0.2) is None
+    rig.core.latch.stop('stop', 'stop was called')  # by another thread
+    goal.cancel(rig.core, rig.now)
+    rig.run(0.1)
+    assert rig.code() == 'stopped'
+
+
+def test_a_goal_that_waits_for_a_released_driver_is_not_reached_by_the_target_before():
+    rig, goal = Rig(resume=True), MotionGoal(targets(NEAR))
+    rig.run(0.1)
+    rig.core.driver_reports('', '', 0)
+    rig.core.aim(reachable((0.1, 0.1, 0.1, 0.1)))
+    rig.run(1.0)
+    rig.core.driver_reports('', 'no command', 1)
+    assert pursue(rig, goal, 0.2) is None
+    rig.core.resumed()
+    rig.run(1.0)
+    assert goal.update(rig.core, rig.now).code == ''
+    assert rig.tensions == pytest.approx(NEAR, abs=1e-3)
+
+
 @pytest.mark.parametrize(
     ('intrude', 'code', 'says'),
     [

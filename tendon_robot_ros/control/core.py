@@ -87,21 +87,23 @@ class ControllerCore(ControllerState):
 
     def play(self, now: float, trajectory: Trajectory | None) -> None:
         """
-        Play a trajectory of the tendons; None ends the current one and holds.
+        Play a trajectory of the tendons; None ends any motion and holds, which is never refused.
 
         With keep-out regions, the solver first checks the whole trajectory.
         """
+        if trajectory is None:
+            if self.driver.held:
+                self.driver.waiting = None  # the arm holds already
+            else:
+                self._drop()
+                self.driver.dropped = None
+            return
         self._require_running()
         if self.command is None:
             raise Refusal('no_driver', 'tendon_trajectory refused: no tendon states yet')
-        if trajectory is None and self.driver.released:
-            self.driver.waiting = None  # the arm holds already
-        elif trajectory is None:
-            self._drop()
-            self.driver.dropped = None
-        elif self.driver.wait(lambda: self.play(self.time, trajectory), trajectory):
+        if self.driver.wait(lambda: self.play(self.time, trajectory), trajectory):
             return
-        elif self.settings.keep_out:
+        if self.settings.keep_out:
             self._check_trajectory(now, trajectory)
         else:
             self._play(now, trajectory)
@@ -321,7 +323,7 @@ class ControllerCore(ControllerState):
     @property
     def moving(self) -> bool:
         """Whether a search runs or the command still changes."""
-        return self.search is not None or (self.command is not None and self.mode.moving(self))
+        return self.search is not None or self.mode.moving(self)
 
     @property
     def commanded(self) -> Floats | None:

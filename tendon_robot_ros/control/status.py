@@ -103,6 +103,8 @@ def controller_status(core: ControllerCore, now: float) -> ControllerStatus:
 def activity(core: ControllerCore, now: float) -> ControllerStatus:
     """Return the status of the current motion, where nothing prevents it."""
     moving = ControllerStatus(OK, 'moving', 'moving to the target')
+    if core.driver.waiting is not None:  # the mode is that of the command before
+        return ControllerStatus(OK, 'holding', 'waiting for the driver')
     if core.search is not None:
         passed = now - core.search.began
         if core.search.streamed and passed < core.search.budget:
