@@ -1,10 +1,13 @@
 """The controller without ROS: targets to commands, halts, stops."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from control_rig import CYCLE, Rig, model, reachable
 
 from tendon_robot_ros.common.errors import DriverError
+from tendon_robot_ros.common.rotations import angle_between
 from tendon_robot_ros.control import Refusal, Target, Twist
 from tendon_robot_ros.control.state import MeasuredState
 from tendon_robot_ros.control.status import controller_status
@@ -140,6 +143,20 @@ def test_a_twist_may_hold_the_direction_and_may_be_given_in_tip_axes():
         return np.arccos(np.clip(start.tip_direction @ end.tip_direction, -1, 1))
 
     assert turned(hold_direction=True) < 0.3 * turned()
+
+
+def test_a_turn_begins_where_the_tip_looks_after_it_was_moved():
+    rig = Rig()
+    rig.run(0.1)
+    rig.core.aim(replace(reachable((0.3, 0.2, 0.2, 0.2)), direction=None))
+    rig.run(1.0)
+    along = Twist(np.array([0.03, 0.0, 0.0]), np.zeros(3))
+    rig.run(2.0, lambda rig: rig.core.twist(rig.now, along))
+    before = model().shape(rig.tensions).tip_direction
+    turn = Twist(np.zeros(3), np.array([0.0, 0.001, 0.0]))
+    rig.run(0.2, lambda rig: rig.core.twist(rig.now, turn))
+    turned = angle_between(model().shape(rig.tensions).tip_direction, before)
+    assert turned < np.deg2rad(0.5)  # the tip has turned by sixteen degrees as it was moved
 
 
 def test_a_stop_silences_it_and_drops_the_target():

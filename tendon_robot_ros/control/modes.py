@@ -157,6 +157,8 @@ class FollowTwist(Mode):
                     return
                 self.reach, shape = path.reach, path.reach.shape
                 self.axes = shape.frames[-1]
+                if request.target.direction is None:  # a turn begins where the tip looks
+                    self.direction = shape.tip_direction.copy()
                 assert self.position is not None
                 ahead = self.position - shape.tip_position
                 distance = float(np.linalg.norm(ahead))
