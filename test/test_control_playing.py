@@ -7,6 +7,7 @@ from control_rig import CYCLE, Rig, model, reachable
 from tendon_robot_ros.control import Refusal
 from tendon_robot_ros.control.inputs import Trajectory
 from tendon_robot_ros.control.status import controller_values
+from tendon_robot_ros.model.model import Model
 
 LIMITS = np.array([[0.1, 5.0]] * 4)
 NAMES = ('prox_left', 'prox_right', 'dist_left', 'dist_right')
@@ -105,6 +106,26 @@ def test_a_stop_and_a_lost_driver_end_a_trajectory():
         rig.run(1.0)
         assert rig.code() == 'holding'
         assert rig.outputs[-1].tensions == pytest.approx(measured)
+
+
+def test_the_prediction_of_an_arm_with_friction_follows_played_wire_pulls():
+    robot = model().robot.with_effect('friction_memory', {'presliding_length': 5e-4})
+    arm, rig, shapes = Model(robot), Rig(pull_mode=True), []
+    rig.core.set_model(arm)
+    start = arm.shape(rig.tensions)
+    goal = arm.follow(start, END).pulls
+    for now in np.arange(CYCLE, 2.0, CYCLE):
+        played = rig.core.commanded
+        nothing = np.full(4, np.nan)  # of the tensions is measured
+        rig.core.measured(now, nothing, start.pulls if played is None else played)
+        rig.core.step(now)
+        if round(now / CYCLE) == 40:
+            rig.core.play(now, trajectory([1.0], goal, limits=None))
+        if round(now / CYCLE) % 6 == 0:
+            rig.core.predict(now, shapes.append)
+    there = arm.follow_pulls(start, goal).tip_position
+    assert shapes[-1].tip_position == pytest.approx(there, abs=2e-3)
+    assert shapes[0].tip_position == pytest.approx([0.0, 0.0, 0.208], abs=2e-3)
 
 
 def test_wire_pulls_are_commanded_as_they_were_given():

@@ -380,6 +380,7 @@ class ControllerCore(ControllerState):
             self.mode, goal = Mode(), self.command
         if self.pulls is not None and isinstance(self.mode, PlayTrajectory):
             self.command = self.pulls.play(self, goal)
+            self.driver.acting.sent(self.time, self.command, self.settings.drive_lag)
             return
         goal = bounded(goal, self.limits)
         step = self.settings.rate_limit * passed
