@@ -1,12 +1,15 @@
 """The closed loop: what it makes of the measured tip, and the steps that it takes."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from friction_rig import CYCLE, TARGETS, Rig, model
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings, Target, target_search, tip_loop
-from tendon_robot_ros.control.status import controller_values
+from tendon_robot_ros.control.solver import Solver
+from tendon_robot_ros.control.status import controller_status, controller_values
 from tendon_robot_ros.control.tip_estimator import TipEstimate, TipStep
 from tendon_robot_ros.model.derivatives import tip_slopes
 from tendon_robot_ros.model.program import STEP_GAIN, bounded_step
@@ -145,6 +148,37 @@ def test_an_arm_that_snaps_on_its_way_is_not_given_up_and_one_that_stays_away_is
     assert told(0.5, np.zeros(3)) == ''
     far(range(8))
     assert told(1.5, np.array([0.0, 0.12, 0.0])) == 'too far from the model'
+    assert 'the closed loop was left' in controller_status(rig.core, rig.now).message
+    rig.core.aim(Target(model(False).shape(np.array(TARGETS[1])).tip_position))
+    rig.run(0.01)  # no frame of the tracker
+    assert controller_status(rig.core, rig.now).code == 'moving'  # another target, another chance
+    assert told(1.5, np.array([0.0, 0.12, 0.0])) == 'too far from the model'
+    rig.core.set_model(rig.core.model)  # in which perhaps nothing lacks any more
+    told(0.3, np.zeros(3))
+    assert told(0.3, np.zeros(3)) == ''
+
+
+def test_a_comparison_that_ends_after_the_loop_was_left_changes_nothing():
+    rig = Rig(tip_gain=5.0)
+    rig.run(0.05)
+    rig.core.aim(Target(model(False).shape(np.array(TARGETS[0])).tip_position))
+    core, solver, answers = rig.core, Solver(), []
+    core.solver = SimpleNamespace(
+        post=lambda kind, work, done, *rest, **more: (
+            answers.append(lambda: solver.post(kind, work, done))
+            if kind == 'loop'
+            else solver.post(kind, work, done)
+        ),
+        busy=lambda kind: kind == 'loop' and bool(answers),
+        serve=lambda: None,
+    )
+    for _ in range(20):
+        rig.run(0.02)
+        core.tip_measured(rig.now, rig.shape.tip_position)
+    assert answers
+    core.loop.abandoned, core.loop.tensions, core.loop.estimate = 'too far', None, None
+    answers.pop()()
+    assert core.loop.tensions is None and core.loop.estimate is None
 
 
 def test_the_closed_loop_is_kept_on_a_way_that_bends_over():

@@ -128,8 +128,8 @@ def activity(core: ControllerCore, now: float) -> ControllerStatus:
 
 def _measured_condition(core: ControllerCore, now: float) -> ControllerStatus | None:
     """Return the condition by the tracked tip; None where only the model can tell."""
-    if core.loop.abandoned:
-        message = f'the closed loop was left: {core.loop.abandoned}; the model says where'
+    if left := core.loop.left(core.target):
+        message = f'the closed loop was left: {left}; the model says where'
         return ControllerStatus(WARN, 'nearest', message)
     doubt, remainder = '', core.loop.remainder(now, core.target)
     if core.loop.estimate is not None:  # a bias that is too large for a calibrated model

@@ -187,7 +187,7 @@ class TipLoop(TipCorrection):
     def reset(self) -> None:
         """Forget the estimate and the goal."""
         self.tensions = self.estimate = self.motion = self.solution = self._compared = None
-        self.progress, self._due = TipProgress(), 0.0
+        self.progress, self._due, self._target = TipProgress(), 0.0, None
         self._history.clear()
 
     def paced(self, core: ControllerState, goal: Floats, longest: float, passed: float) -> float:
@@ -239,6 +239,10 @@ class TipLoop(TipCorrection):
     def why_frozen(self, now: float) -> str:
         """Return why the loop does not run, '' while it runs."""
         return 'tracker silent' if self._silent(now) else self.frozen
+
+    def left(self, target: object) -> str:
+        """Return why the loop was left for a target, '' while it runs."""
+        return self.abandoned if target is self._target else ''
 
     def _silent(self, now: float) -> bool:
         return self.tip is None or now - self.tip.time > TRACKER_SILENT_S
@@ -322,7 +326,7 @@ class TipLoop(TipCorrection):
             return new, next_goal, shape.tip_position, tip, moved, remainder
 
         def done(result: Compared | None, error: Failure) -> None:
-            if result is None or core.model is not model or core.target is None:
+            if result is None or core.model is not model or core.target is None or self.abandoned:
                 return
             self.estimate, next_goal, tip, self._compared, moved, remainder = result
             self._history.append((now, acting, tip))
