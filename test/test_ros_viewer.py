@@ -9,7 +9,11 @@ pytest.importorskip('rclpy')
 pytest.importorskip('viser')
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseArray
 from ros_station import LATCHED, ForkedNode, Station, last, start, values
+from sensor_msgs.msg import JointState
+
+from tendon_robot_ros.robot import dump_robot, load_robot
 
 pytestmark = pytest.mark.ros
 LOADED = 120.0  # [s] a busy machine may need to load the model
@@ -56,6 +60,25 @@ def test_it_survives_that_all_others_come_go_and_come_again(shown, tmp_path):
         hears(station)
         with urllib.request.urlopen(f'http://127.0.0.1:{port}', timeout=30.0) as answer:
             assert answer.status == 200
+
+
+def test_what_it_cannot_show_does_not_end_it(shown, tmp_path):
+    station, log, _ = shown()
+    described = tmp_path / 'arm.yaml'
+    described.write_text(dump_robot(load_robot('kato_10_1')))
+    with start('controller', station.namespace, tmp_path, model=str(described)):
+        hears(station, 'controller')
+        described.write_text('name: half of')  # as an editor leaves it for a moment
+        station.until(lambda: 'the model of the controller: ' in log.read_text(), 'its word')
+    for topic, message in (
+        ('measured_shape', PoseArray()),  # of a tracker that sees nothing
+        ('tendon_states', JointState(name=['one', 'two'], effort=[1.0])),
+    ):
+        for _ in range(5):  # one alone might be lost
+            station.send(topic, message)
+            station.spin(0.1)
+    before = len(station.viewer)
+    station.until(lambda: len(station.viewer) > before + 1, 'that it goes on')
 
 
 def test_beyond_this_machine_it_draws_a_token(shown):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ipaddress
 import json
+import math
 import secrets
 import time
 from collections import deque
@@ -26,6 +27,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
+from ...common.errors import TendonRobotError
 from ...robot import load_robot
 from ..shared import interface
 from ..shared.lifecycle import OK, Status
@@ -79,7 +81,11 @@ class ViewerNode(Runnable, Node):
         repeat(self, 1.0 / self.parameters['rate'], self._cycle)
 
         def model(text: str) -> None:
-            robot = load_robot(text)
+            try:
+                robot = load_robot(text)
+            except (TendonRobotError, OSError) as error:  # a file that is being written, for one
+                self.get_logger().warning(f'the model of the controller: {error}', once=True)
+                return
             self.state.limits = robot.tension_limits
             self.page.resize(robot.length)
 
@@ -102,8 +108,9 @@ class ViewerNode(Runnable, Node):
             state.set_status(now(), key, level, message.message, values)
 
         def states(message: JointState) -> None:
+            known = len(message.effort) == len(message.name)
             state.inputs = tuple(message.name)
-            state.tensions = tuple(message.effort or [float('nan')] * len(message.name))
+            state.tensions = tuple(message.effort if known else [math.nan] * len(message.name))
 
         def measured(message: PoseArray) -> None:
             state.measured = points_of(message)

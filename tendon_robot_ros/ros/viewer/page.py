@@ -156,6 +156,8 @@ class LivePage:
         with self._server.atomic():
             if state.measured is not None and len(state.measured):
                 self._tube(_nodes(state.measured))
+                if np.isfinite(tip := state.measured[-1]).all() and not state.held:
+                    self._target.position = tuple(tip.tolist())
             if state.predicted is not None and len(state.predicted):
                 nodes = _nodes(state.predicted)
                 self._line('predicted', np.stack([nodes[:-1], nodes[1:]], axis=1))
@@ -165,9 +167,6 @@ class LivePage:
             force = state.force_line(time.monotonic())
             if force is not None or 'force' in self._lines:
                 self._line('force', np.zeros((1, 2, 3)) if force is None else force)
-            tip = None if state.measured is None else state.measured[-1]
-            if tip is not None and np.isfinite(tip).all() and not state.held:
-                self._target.position = tuple(tip.tolist())
 
     def update(self, state: ViewState, now: float) -> None:
         """Update the panel; only changes are sent."""
