@@ -4,6 +4,7 @@ import contextlib
 import re
 import threading
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Header
 
@@ -34,6 +36,8 @@ from tendon_robot_ros.paths.path import Pace
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.commands import follow
 from tendon_robot_ros.ros.commands.live import Director
+from tendon_robot_ros.ros.controller import node as controller_node
+from tendon_robot_ros.ros.controller.node import ControllerNode
 from tendon_robot_ros.ros.driver import backend as driver_backend
 from tendon_robot_ros.ros.shared import lifecycle, robot_client
 from tendon_robot_ros.ros.shared.messages import Frames, matrix, quaternion
@@ -270,6 +274,37 @@ def test_a_parameter_takes_what_fits(spec, value, expected):
 def test_a_parameter_refuses_what_does_not_fit(spec, value, words):
     with pytest.raises(InputError, match=words):
         spec.checked(value)
+
+
+REGION = '[{name: lamp, sphere: {centre: [0.1, 0, 0.1], radius: 0.02}}]'
+
+
+def test_parameters_that_are_refused_together_leave_everything_as_it_was():
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = ControllerNode()
+    try:
+        region = Parameter('keep_out', value=f'keep_out: {REGION}')
+        assert node.set_parameters_atomically([region]).successful
+        bad = Parameter('prefer_stiffness_along', value='upwards')
+        others = Parameter('keep_out', value=''), Parameter('model', value='kato_10_1')
+        result = node.set_parameters_atomically([*others, bad])
+        assert not result.successful and 'upwards' in result.reason
+        assert node.set_parameters([Parameter('rate_limit', value=5.0)])[0].successful
+        assert node._keep_out and node.parameters['keep_out'] == region.value
+        assert not node._loading.change_requested
+    finally:
+        node._loading.cancel()
+        node.destroy_node()
+        rclpy.shutdown()
+
+
+def test_an_attempt_to_configure_that_is_refused_starts_no_thread(monkeypatch):
+    started, node = [], MagicMock()
+    monkeypatch.setattr(controller_node, 'Worker', started.append)
+    node._fence.side_effect = InputError('keep_out: nowhere.yaml: no such file')
+    with pytest.raises(InputError, match='nowhere'):
+        ControllerNode.configure(node)
+    assert not started
 
 
 def test_a_robot_comes_from_a_name_a_path_or_text(tmp_path):

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import Any
 
@@ -74,8 +74,8 @@ class ControllerNode(StoppableNode):
         self._loading = ModelLoading(self.parameters)
         self._keep_out = KeepOut()
         checks: dict[str, Callable[[str], object]] = {
-            'model': self._loading.change,
-            'keep_out': self._fence,
+            'model': self._loading.check,
+            'keep_out': parameters.keep_out_of,
             'prefer_stiffness_along': parameters.direction_of,
         }
         self.parameters.watch(checks, self._retune)
@@ -127,9 +127,9 @@ class ControllerNode(StoppableNode):
         model = self._loading.result()
         self._loading.accept(model)
         self.status.arm = model.robot.name
-        self._solver = Worker(self._wake)
         self._fence(self.parameters['keep_out'])
         settings = parameters.settings(self.parameters, self._keep_out)
+        self._solver = Worker(self._wake)  # last: of a refused attempt no thread stays
         core = ControllerCore(model, settings, self._solver)
         core.driver_reports(*self._driver.last)
         self._incoming = Incoming(self, self.parameters, model)
@@ -413,9 +413,13 @@ class ControllerNode(StoppableNode):
         if self._driver.another or not self._driver.resume(answered):
             reset()
 
-    def _retune(self) -> None:
+    def _retune(self, names: Collection[str]) -> None:
         """Apply changed parameters."""
         self._subscribe_tip()
+        if 'keep_out' in names:
+            self._fence(self.parameters['keep_out'])
+        if 'model' in names:
+            self._loading.change(self.parameters['model'])
         if self.core is not None:
             self.core.settings = parameters.settings(self.parameters, self._keep_out)
 

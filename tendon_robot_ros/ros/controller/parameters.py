@@ -83,8 +83,8 @@ class ModelLoading:
         self.cancel()
         self._loader, self._inputs, self.change_requested = None, (), False
 
-    def change(self, text: str) -> None:
-        """Start to load another model; raise errors that are quickly detected."""
+    def check(self, text: str) -> None:
+        """Raise the errors of another model that are quickly detected."""
         file, size = robot_file(text), len(text)
         if file is not None and file.exists():  # to read anything else, as a pipe, may block
             size = file.stat().st_size if file.is_file() else DESCRIPTION_MAX
@@ -97,6 +97,9 @@ class ModelLoading:
                 catalogue = load_catalogue([])
                 for name in robot.effects:
                     catalogue[name]
+
+    def change(self, text: str) -> None:
+        """Start to load another model."""
         self.cancel()
         self._loader, self._requested, self.change_requested = self._begin(text), text, True
 

@@ -11,7 +11,7 @@ example: python -m tendon_robot_ros driver --ros-args -p robot:=kato_10_1 -p con
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -299,7 +299,7 @@ class DriverNode(StoppableNode):
         code, _, names = text.partition(':')
         driver.inject(code, [name for name in names.split(',') if name])
 
-    def _retune(self) -> None:
+    def _retune(self, names: Collection[str]) -> None:
         """Apply changed rates and times."""
         if self.loop is not None:
             loop = self.loop

@@ -111,7 +111,7 @@ class Parameters:
         self._node, self._specs = node, declared()[table]
         self._values: dict[str, Any] = {}
         self._hooks: dict[str, Callable[[Any], object]] = {}
-        self._changed: Callable[[], None] | None = None
+        self._changed: Callable[[Collection[str]], None] | None = None
         for spec in self._specs.values():
             try:
                 value = node.declare_parameter(spec.name, spec.default, spec.descriptor()).value
@@ -133,7 +133,9 @@ class Parameters:
         return kind(**{name: self[prefix + name] for name in names} | others)
 
     def watch(
-        self, hooks: Mapping[str, Callable[[Any], object]], changed: Callable[[], None]
+        self,
+        hooks: Mapping[str, Callable[[Any], object]],
+        changed: Callable[[Collection[str]], None],
     ) -> None:
         """
         Set callbacks for changes at run time.
@@ -141,19 +143,20 @@ class Parameters:
         Parameters
         ----------
         hooks : dict
-            Name -> called with the new value; a TendonRobotError refuses it with its text.
+            Name -> called with the new value; a TendonRobotError refuses it with its text, and
+            what was to be set together with it.
         changed : callable
-            Called after any accepted change.
+            Called with the names after any accepted change.
 
         """
         self._hooks, self._changed = dict(hooks), changed
 
     def put_back(self, name: str, value: Any) -> None:
-        """Restore an earlier value of a parameter without calling its hook."""
-        hook = self._hooks.pop(name, None)
+        """Restore an earlier value of a parameter without calling any hook."""
+        hooks, changed = self._hooks, self._changed
+        self._hooks, self._changed = {}, None
         self._node.set_parameters([Parameter(name, value=value)])
-        if hook is not None:
-            self._hooks[name] = hook
+        self._hooks, self._changed = hooks, changed
 
     def _set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         try:
@@ -169,7 +172,7 @@ class Parameters:
             return SetParametersResult(successful=False, reason=' '.join(str(error).split()))
         self._values.update(accepted)
         if self._changed is not None:
-            self._changed()
+            self._changed(accepted)
         return SetParametersResult(successful=True)
 
 
