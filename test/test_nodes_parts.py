@@ -31,6 +31,7 @@ from tendon_robot_ros.control import Refusal, loading
 from tendon_robot_ros.control.inputs import direction
 from tendon_robot_ros.control.loading import Loader
 from tendon_robot_ros.data.path_files import TendonRows
+from tendon_robot_ros.drivers.safety import FOLLOWING
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.paths.path import Pace
 from tendon_robot_ros.robot import load_robot
@@ -39,6 +40,7 @@ from tendon_robot_ros.ros.commands.live import Director
 from tendon_robot_ros.ros.controller import node as controller_node
 from tendon_robot_ros.ros.controller.node import ControllerNode
 from tendon_robot_ros.ros.driver import backend as driver_backend
+from tendon_robot_ros.ros.driver.node import DriverNode
 from tendon_robot_ros.ros.shared import lifecycle, robot_client
 from tendon_robot_ros.ros.shared.messages import Frames, matrix, quaternion
 from tendon_robot_ros.ros.shared.parameters import Spec, read_config
@@ -305,6 +307,22 @@ def test_an_attempt_to_configure_that_is_refused_starts_no_thread(monkeypatch):
     with pytest.raises(InputError, match='nowhere'):
         ControllerNode.configure(node)
     assert not started
+
+
+def test_a_refusal_may_end_while_the_driver_says_its_status():
+    node = MagicMock()
+    decision = SimpleNamespace(state=FOLLOWING, reasons=())
+    node._cycle = SimpleNamespace(decision=decision, held='', faults=())
+    node.loop.supervisor.latch.reasons = []
+    node._own.others.return_value = node._senders.names.return_value = ''
+    refusals = iter([Refusal('stale', 'too old'), None, None])
+    # the motor thread takes a good command meanwhile
+    type(node)._refusal = property(lambda node: next(refusals))
+    DriverNode._publish_status(node)
+    assert node.status.publish.call_args.args[1:3] == (
+        'refused_stale',
+        'too old; following commands',
+    )
 
 
 def test_a_robot_comes_from_a_name_a_path_or_text(tmp_path):

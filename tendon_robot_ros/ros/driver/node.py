@@ -222,9 +222,9 @@ class DriverNode(StoppableNode):
         if cycle.held and not (decision.reasons or latched):
             message += f' ({cycle.held}); {GO_ON}'
         code = 'stopped' if stopped else state
-        if self._refusal is not None:
-            level, code = max(level, WARN), f'refused_{self._refusal.code}'
-            message = f'{self._refusal}; {message}'
+        if (refusal := self._refusal) is not None:  # read once: the motor thread ends it
+            level, code = max(level, WARN), f'refused_{refusal.code}'
+            message = f'{refusal}; {message}'
         now = time.monotonic()
         senders, drivers = self._senders, self._own.others(now)
         first, ignored = senders.first(now), senders.names(senders.others(now))
