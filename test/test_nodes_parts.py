@@ -22,6 +22,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from tendon_robot_ros.cli.main import main
@@ -41,6 +42,10 @@ from tendon_robot_ros.ros.controller import node as controller_node
 from tendon_robot_ros.ros.controller.node import ControllerNode
 from tendon_robot_ros.ros.driver import backend as driver_backend
 from tendon_robot_ros.ros.driver.node import DriverNode
+from tendon_robot_ros.ros.monitor import node as monitor_node
+from tendon_robot_ros.ros.monitor import watching
+from tendon_robot_ros.ros.monitor.node import MonitorNode
+from tendon_robot_ros.ros.monitor.watching import Adapting
 from tendon_robot_ros.ros.shared import lifecycle, robot_client
 from tendon_robot_ros.ros.shared.messages import Frames, matrix, quaternion
 from tendon_robot_ros.ros.shared.parameters import Spec, read_config
@@ -323,6 +328,64 @@ def test_a_refusal_may_end_while_the_driver_says_its_status():
         'refused_stale',
         'too old; following commands',
     )
+
+
+@pytest.fixture
+def monitor(monkeypatch):
+    """Make what a monitor says of itself that compares with kato_10_1."""
+    monkeypatch.setattr(monitor_node, 'Loader', MagicMock())
+    node = MagicMock(_problem='', _unusable='', _in_use='kato_10_1', _loading='kato_10_1')
+    node.monitor.model.inputs, node.monitor.problem = ('one', 'two'), ''
+    node._measured.problem, node._last_error, node._frame_at = '', 1e-3, np.inf
+    node.watching = None
+    node.code = lambda: MonitorNode._condition(node)[1]
+    return node
+
+
+def test_a_monitor_compares_again_after_states_of_another_robot(monitor):
+    MonitorNode._states(monitor, JointState(name=['others'], effort=[1.0]))
+    assert monitor.code() == 'problem'
+    MonitorNode._states(monitor, JointState(name=['one', 'two'], effort=[1.0, 1.0]))
+    assert monitor.code() == 'comparing'
+
+
+@pytest.mark.parametrize('other', ['nowhere.yaml', 'spatial_3'])
+def test_a_monitor_compares_again_after_the_controller_has_gone_back_to_its_model(monitor, other):
+    MonitorNode._load(monitor, other)
+    assert (monitor.code() == 'problem') == (other == 'nowhere.yaml')
+    MonitorNode._load(monitor, 'kato_10_1')
+    assert monitor.code() == 'comparing'
+    assert monitor._loader is None and monitor._loading == 'kato_10_1'
+
+
+def test_an_undo_that_the_controller_refuses_can_be_asked_for_again(monkeypatch):
+    answers, robots = [], [load_robot('kato_10_1'), load_robot('kato_10_1_single')]
+    adaptation = SimpleNamespace(robot=robots[1], changes=[])
+
+    def undo():
+        adaptation.robot = adaptation.changes.pop().robot
+        return MagicMock(parameters=())
+
+    adaptation.undo = undo
+    first, second = SimpleNamespace(robot=robots[0]), SimpleNamespace(robot=robots[0])
+    adaptation.changes = [first, second]
+    monkeypatch.setattr(Adapting, '_begin', lambda self, model: None)
+    monkeypatch.setattr(Adapting, '_log_change', lambda *_: None)
+    monkeypatch.setattr(watching.interface, 'topic', lambda name: ())
+    adapting = Adapting(
+        MagicMock(),
+        MagicMock(),
+        MagicMock(),
+        'kato_10_1',
+        lambda _, answer: answers.append(answer),
+    )
+    adapting._adaptation = adaptation
+    adapting.undo()
+    answers.pop()(False, 'it does not answer')
+    assert adaptation.changes == [first, second] and adaptation.robot is robots[1]
+    adapting.undo()
+    answers.pop()(True, '')
+    assert adaptation.changes == [first]
 
 
 def test_a_robot_comes_from_a_name_a_path_or_text(tmp_path):

@@ -64,7 +64,7 @@ class MonitorNode(Runnable, Node):
         self.monitor: Monitor | None = None
         self.work = Work()
         self._loader: Loader | None = None
-        self._in_use = self._loading = self._base = self._problem = ''
+        self._in_use = self._loading = self._base = self._problem = self._unusable = ''
         self._last_error = self._frame_at = float('nan')
         self._remote = RemoteParameter(self, self.parameters['controller'], 'model')
         topics = 'monitor/error', 'monitor/rolling_error', 'monitor/marker_errors'
@@ -101,17 +101,19 @@ class MonitorNode(Runnable, Node):
 
     def _load(self, text: str) -> None:
         """Start to load a description, unless it is the one in use."""
-        if not text or text in (self._in_use, self._loading):
+        if not text or text == self._loading:
             return
-        try:
-            robot = load_robot(text)
-        except TendonRobotError as error:
-            self._problem = f'model: {error}'
-            return
-        loader = Loader(lambda: robot, self.parameters['effects'])
         if self._loader is not None:
             self._loader.cancel()
-        self._loader, self._loading = loader, text
+        self._loader, self._loading = None, ''
+        try:
+            if text != self._in_use:  # else the controller has gone back to it
+                robot = load_robot(text)
+                self._loader = Loader(lambda: robot, self.parameters['effects'])
+        except TendonRobotError as error:
+            self._problem = f'model: {error}'
+        else:
+            self._loading, self._problem = text, ''
 
     def _take_model(self) -> None:
         if self._loader is None or not self._loader.done:
@@ -151,8 +153,9 @@ class MonitorNode(Runnable, Node):
         try:
             measured = messages.tensions_and_pulls(message, self.monitor.model.inputs)
         except Refusal as refusal:
-            self._problem = str(refusal)
+            self._unusable = str(refusal)
             return
+        self._unusable = ''
         at = messages.seconds(message.header.stamp) or messages.time_now(self)
         self.monitor.put_states(at, *measured)
         self._measured.hand_over()
@@ -207,8 +210,8 @@ class MonitorNode(Runnable, Node):
         self.status.publish(level, code, message, self._values)
 
     def _condition(self) -> tuple[bytes, str, str]:
-        if self._problem:
-            return ERROR, 'problem', self._problem
+        if problem := self._problem or self._unusable:
+            return ERROR, 'problem', problem
         if self.monitor is None:
             return WARN, 'waiting', 'waiting for the model of the controller'
         if self._measured.problem:

@@ -235,7 +235,7 @@ class Adapting:
         applied = self._adaptation.update(still.inputs, still.positions, change, still.frames)
         if applied is not None:
             self._log_change('changed', applied)
-            self._put(self._adaptation.robot)
+            self._put(self._adaptation.robot, self._adaptation.undo)
         else:
             self._publish()
 
@@ -251,12 +251,18 @@ class Adapting:
         """
         if self._waiting:
             raise InputError('the last change is still on its way to the controller')
-        undone = self._adaptation.undo()
+        adaptation = self._adaptation
+        robot, changes = adaptation.robot, adaptation.changes.copy()
+        undone = adaptation.undo()
         if undone is None:
             raise InputError('nothing was changed since this description was taken')
         self._parameters.put_back('adapt', False)
         self._log_change('undone', undone)
-        self._put(self._adaptation.robot)
+
+        def redo() -> None:
+            adaptation.robot, adaptation.changes = robot, changes
+
+        self._put(adaptation.robot, redo)
         text = '; '.join(
             f'{one.effect}.{one.parameter} is {with_unit(f"{one.after:.4g}", one.unit)} again'
             for one in undone.parameters
@@ -271,15 +277,15 @@ class Adapting:
                 'nothing can follow: the monitor compares with a model of its own (model)'
             )
 
-    def _put(self, robot: Robot) -> None:
-        """Send a description to the controller; undo the change if it refuses."""
+    def _put(self, robot: Robot, take_back: Callable[[], object]) -> None:
+        """Send a description to the controller; take the change back if it refuses."""
         before, self._sent, self._waiting = self._sent, dump_robot(robot), True
 
         def answered(accepted: bool, reason: str) -> None:
             self._waiting = False
             if not accepted:
                 self._sent = before
-                self._adaptation.undo()
+                take_back()
                 self._node.get_logger().warning(f'the controller keeps its model: {reason}')
 
         self._send(self._sent, answered)
