@@ -1,6 +1,7 @@
 """Small parts of the nodes: orientations, frames, parameters, files, sequences of a loader."""
 
 import contextlib
+import math
 import re
 import threading
 from types import SimpleNamespace
@@ -17,7 +18,7 @@ pytest.importorskip('rclpy')
 import rclpy
 import ros_station  # noqa: F401  (prepares the environment for rclpy)
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Quaternion
+from geometry_msgs.msg import PoseStamped, Quaternion
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -237,6 +238,30 @@ def test_a_tip_is_told_where_it_stands_however_slowly_the_motors_come_to_rest(mo
     pilot.spin = spin
     pilot.stand()
     assert pilot.tip()[0] == pytest.approx(there, abs=3e-5)
+
+
+def test_a_tip_that_the_tracker_lost_on_the_way_is_where_the_model_says(monkeypatch):
+    pilot, there, way = Pilot.__new__(Pilot), np.array([0.06, 0.0, 0.17]), np.zeros(3)
+    monkeypatch.setattr(robot_client, 'time', SimpleNamespace(monotonic=lambda: 5.0))
+    rows = [(at, there, np.array([0.0, 0.0, 1.0])) for at in np.arange(0.0, 5.0, 0.1)]
+    lost = [(at, way, view) for at, _, view in rows if at < 1.0]
+    pilot._tips = {'measured': lost, 'predicted': rows}
+    assert pilot.tip()[0] == pytest.approx(there) and not pilot.tips()[0]
+
+
+def test_a_frame_in_which_the_tip_is_not_seen_is_no_place_of_it():
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    pilot = Pilot('pilot', Ending())
+    try:
+        take = next(one.callback for one in pilot.subscriptions if 'measured' in one.topic_name)
+        for x in (0.06, math.nan, 0.06):
+            message = PoseStamped()
+            message.pose.position.x = x
+            take(message)
+        assert len(pilot._tips['measured']) == 2
+    finally:
+        pilot.destroy_node()
+        rclpy.shutdown()
 
 
 def test_a_tip_error_is_the_mean_of_enough_frames_since_the_arm_stands_however_few_there_are():

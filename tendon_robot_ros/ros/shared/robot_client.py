@@ -24,6 +24,7 @@ from ...common.rotations import towards
 from ...control.inputs import Trajectory
 from ...control.inputs import direction as looks
 from ...control.loading import load
+from ...data.tracker_faults import is_missing
 from ...effects import load_catalogue
 from ...model.model import Model
 from ...robot import load_robot
@@ -32,7 +33,7 @@ from . import interface, messages
 from .parameters import RemoteParameter, declared
 from .quality import COMMAND
 from .runtime import SPIN_S, Ending
-from .timing import CALL_TIMEOUT_S, MOVE_TIMEOUT_S, REACTION_TIMEOUT_S
+from .timing import CALL_TIMEOUT_S, MOVE_TIMEOUT_S, REACTION_TIMEOUT_S, SILENCE_S
 
 SETTLED_CODES = ('reached', 'nearest', 'at_limit')
 WORKING_CODES = ('holding', 'searching', 'moving', 'playing', 'played', 'jogging', *SETTLED_CODES)
@@ -111,7 +112,8 @@ class Pilot(Node):
             with suppress(InputError):  # an orientation that is none
                 view = looks(messages.xyzw(message.pose.orientation), which)
                 place = np.array(messages.xyz(message.pose.position))
-                self._tips[which].append((time.monotonic(), place, view))
+                if not is_missing(place):  # as trackers say that they see none
+                    self._tips[which].append((time.monotonic(), place, view))
 
         def command(message: JointState) -> None:
             self.inputs, self.pull = tuple(message.name), not message.effort
@@ -350,7 +352,8 @@ class Pilot(Node):
 
     def tips(self) -> tuple[bool, Floats, Floats, Floats]:
         """Return whether a tracker measures, times (T,) [s], positions (T, 3) [m], directions."""
-        measured = len(self._tips['measured']) > 1
+        seen = self._tips['measured']
+        measured = len(seen) > 1 and time.monotonic() - seen[-1][0] <= SILENCE_S
         samples = self._tips['measured' if measured else 'predicted']
         times, places, views = zip(*samples, strict=True)
         return measured, np.array(times), np.array(places), np.array(views)
