@@ -28,6 +28,12 @@ def test_a_direction_in_which_no_tendon_moves_the_tip_is_named_with_its_range():
     assert '(0.00, 1.00, 0.00)' in remainder([0.0, 1e-3, 0.0], planar).why(NAMES)
 
 
+def test_two_tendons_lead_no_tip_out_of_their_plane():
+    pair, room = np.array([[0.5, -0.5], [0.0, 0.0], [1e-3, 1e-3]]), FREE[:, :2]
+    cause = remainder([0.0, 5e-3, 0.0], pair, room).why(NAMES[:2])
+    assert cause.startswith('5.00 mm of it along (0.00, 1.00, 0.00)')
+
+
 def test_a_tension_at_its_limit_is_named_where_no_other_one_helps():
     high = np.array([[1.0, 0.5, 0.5], [0.0, 0.5, 0.5]])
     assert remainder([1e-3, 0.0, 0.0], room=high).why(NAMES) == ''  # the others may go down

@@ -95,7 +95,8 @@ class Remainder:
         """
         if self.region:
             return f'kept out of {self.region}'
-        axes, sizes, _ = np.linalg.svd(self.slopes, full_matrices=False)
+        axes, sizes, _ = np.linalg.svd(self.slopes)
+        sizes = np.pad(sizes, (0, len(axes) - len(sizes)))  # of fewer than three tendons
         parts, weak = axes.T @ self.off, sizes < WEAK_SLOPE * sizes[0]
         if parts[weak] @ parts[weak] > 0.5 * self.distance**2:
             part = axes[:, weak] @ parts[weak]
