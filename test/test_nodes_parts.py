@@ -49,7 +49,7 @@ from tendon_robot_ros.ros.monitor.node import MonitorNode
 from tendon_robot_ros.ros.monitor.watching import Adapting
 from tendon_robot_ros.ros.shared import lifecycle, robot_client
 from tendon_robot_ros.ros.shared.messages import Frames, matrix, quaternion
-from tendon_robot_ros.ros.shared.parameters import Spec, read_config
+from tendon_robot_ros.ros.shared.parameters import RemoteParameter, Spec, read_config
 from tendon_robot_ros.ros.shared.robot_client import Pilot
 from tendon_robot_ros.ros.shared.runtime import Ending, ros_arguments
 
@@ -381,6 +381,17 @@ def test_a_monitor_compares_again_after_the_controller_has_gone_back_to_its_mode
     MonitorNode._load(monitor, 'kato_10_1')
     assert monitor.code() == 'comparing'
     assert monitor._loader is None and monitor._loading == 'kato_10_1'
+
+
+def test_a_value_that_another_one_replaces_before_it_is_answered_is_answered_too():
+    answers, pending, remote = [], [], RemoteParameter(MagicMock(), 'controller', 'model')
+    remote._set = SimpleNamespace(ask=lambda request, done: pending.append(done) or True)
+    for value in ('one', 'two'):
+        remote.put(value, lambda *answer, value=value: answers.append((value, *answer)))
+    assert answers == [('one', False, 'another value took its place')]
+    pending[-1](SimpleNamespace(result=SimpleNamespace(successful=True, reason='')))
+    remote.put('three', lambda *answer: None)
+    assert answers[1:] == [('two', True, '')]
 
 
 def test_an_undo_that_the_controller_refuses_can_be_asked_for_again(monkeypatch):

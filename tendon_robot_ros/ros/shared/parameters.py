@@ -317,6 +317,7 @@ class RemoteParameter:
     def __init__(self, node: Node, other: str, name: str) -> None:
         """Create the clients."""
         self._name, self._other = name, other
+        self._replaced: Callable[[], object] = lambda: None  # answers a `put` that is pending
         self._get = Request(node, GetParameters, f'{other}/get_parameters')
         self._set = Request(node, SetParametersAtomically, f'{other}/set_parameters_atomically')
 
@@ -334,12 +335,16 @@ class RemoteParameter:
             request.repeat()
 
     def put(self, value: str, answer: Callable[[bool, str], object]) -> None:
-        """Set the value; `answer` gets whether it was accepted, and why not."""
+        """Set the value; `answer` gets, in any case, whether it was accepted, and why not."""
+        self._replaced()
+        self._replaced = lambda: answer(False, 'another value took its place')
         message = Parameter(self._name, value=value).to_parameter_msg()
         request = SetParametersAtomically.Request(parameters=[message])
 
         def done(response: SetParametersAtomically.Response) -> None:
+            self._replaced = lambda: None
             answer(response.result.successful, response.result.reason)
 
         if not self._set.ask(request, done):
+            self._replaced = lambda: None
             answer(False, f'{self._other} does not answer: is it running?')
