@@ -221,6 +221,13 @@ def test_a_cube_keeps_the_posture_of_least_tension_and_all_directions():
     assert reached.looks[around_the_base] == SPHERE_PART_COUNT // 8  # an octant of all directions
 
 
+def test_a_stiffer_arm_of_the_same_name_has_a_workspace_of_its_own():
+    soft, stiff = (
+        Volume(Sampling.of(Model(planar(stiffness=stiffness)), 500)) for stiffness in (0.027, 0.5)
+    )
+    assert stiff.largest < 0.5 * soft.largest
+
+
 def test_an_arm_that_closes_a_ring_runs_into_itself():
     length, n = 0.006, 40
     bends = np.array([0.0, np.pi, 1.98 * np.pi, 2.2 * np.pi]) / n

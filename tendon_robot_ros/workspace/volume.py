@@ -208,7 +208,7 @@ _MODELS: dict[str, Model] = {}  # of the last sampling that this process has wor
 
 def _model_of(sampling: Sampling) -> Model:
     """Return the model; a process makes it once for all chunks."""
-    key = repr((sampling.robot, sampling.files))
+    key = f'{dump_robot(sampling.robot)} {sampling.files}'
     if key not in _MODELS:
         _MODELS.clear()
         _MODELS[key] = Model(sampling.robot, load_catalogue(sampling.files))
