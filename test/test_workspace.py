@@ -68,6 +68,16 @@ def test_a_spatial_arm_is_judged_by_its_tip_direction():
         assert np.abs(np.abs(family.angle) - np.radians(60.0)).max() <= np.radians(10.0)
 
 
+@pytest.mark.parametrize('robot', [planar(), spatial()], ids=['planar', 'spatial'])
+def test_a_posture_that_looks_ahead_is_counted_once(robot):
+    found = Workspace(Model(robot), [0.0], step=1.0, tolerance=np.radians(10.0))
+    for pair in found.pairs:
+        own = [family for family in found.families if family.pair == pair]
+        rows = np.concatenate([family.tensions for family in own])
+        assert len(np.unique(rows, axis=0)) == len(rows) > 1
+        assert all((family.side * family.angle >= 0.0).all() for family in own)
+
+
 def test_highest_median_and_lowest_tip_are_in_that_order():
     found = Workspace(Model(two_sections(cells=8, effects=FRICTION)), [1.0], 0.25, tolerance=0.1)
     family = found.families[0]

@@ -208,7 +208,8 @@ class Workspace:
                 self.largest = max(self.largest, float(np.abs(angle[good]).max(initial=0.0)))
                 arrays = (batch.inputs, batch.bend, batch.positions, angle)
                 for (v, view), side in product(enumerate(self.views), (1, -1)):
-                    rows = good & (np.abs(side * angle - view) <= tolerance)
+                    rows = good & (np.abs(np.abs(angle) - view) <= tolerance)
+                    rows &= (angle >= 0.0) == (side > 0)  # near 0°, too, it is on one side only
                     if rows.any():
                         part = tuple(array[rows] for array in arrays)
                         parts.setdefault((v, which, side), []).append(part)
