@@ -73,6 +73,17 @@ def test_the_noise_of_a_tracker_is_no_motion_and_slow_motion_is():
     assert frames(StillWindow(0.6, 0.002, 0.05), speed=0.006) is None
 
 
+def test_markers_that_are_never_seen_add_nothing_to_the_noise_of_the_others():
+    seen, windows = np.random.default_rng(0).normal(0.0, 1e-4, (30, 1, 3)), []
+    for markers in (1, 20):
+        windows.append(StillWindow(2.0, 0.002, 0.05))
+        for index, points in enumerate(seen):
+            unseen = np.full((markers - 1, 3), np.nan)
+            windows[-1].put(index / 15.0, np.array([1.0]), np.concatenate([points, unseen]))
+    one, many = (window.settled() for window in windows)
+    assert many.spread == one.spread
+
+
 def test_a_changing_input_is_not_still():
     window = StillWindow(0.6, 0.002, 0.05)
     for index in range(30):

@@ -149,7 +149,7 @@ class StillWindow:
             return None
         middle = mean_over(positions, 0)
         deviations = positions - middle
-        freedom = max(int(np.isfinite(deviations).sum()) - middle.size, 1)
+        freedom = max(int(np.isfinite(deviations).sum() - np.isfinite(middle).sum()), 1)
         return StillMeasurement(
             inputs=inputs.mean(axis=0),
             positions=middle,
