@@ -148,6 +148,18 @@ def test_the_error_is_that_of_the_arm_and_falls_with_its_model(model):
     assert np.linalg.norm(monitor.put_frame(100.0, compared.measured).errors[-1]) < 4e-4
 
 
+def test_the_rolling_error_holds_nothing_of_before_the_clock_was_set_back(model):
+    monitor, compared = Monitor(model), []
+    straight = model.shape(POSTURES[0]).markers(np.array([m.arc_length for m in monitor.markers]),
+                                                np.zeros((30, 3)))  # fmt: skip
+    for begin, off in ((100.0, 0.01), (0.0, 0.0)):
+        for now in begin + np.arange(30) / 30.0:
+            monitor.put_states(now, np.array(POSTURES[0]), NAN)
+            compared.append(monitor.put_frame(now, straight + [off, 0.0, 0.0]))
+    assert compared[29].rolling == pytest.approx(0.01)
+    assert compared[-1].rolling < 1e-6
+
+
 def test_a_shape_with_another_number_of_poses_is_refused(model):
     with pytest.raises(InputError, match='expected 30 poses, one for each of the markers'):
         Monitor(model).put_frame(0.0, np.zeros((3, 3)))

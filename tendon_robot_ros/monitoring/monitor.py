@@ -341,7 +341,8 @@ class Monitor:
         size = float(np.linalg.norm(error))
         if np.isfinite(size):
             self._tips.append((time, size))
-        while self._tips and self._tips[0][0] < time - self.settings.rolling:
+        # also what came before the clock was set back
+        while self._tips and not time - self.settings.rolling <= self._tips[0][0] <= time:
             self._tips.popleft()
         rolling = root_mean(np.array([one**2 for _, one in self._tips]))
         return Compared(positions, points, rolling)
