@@ -285,6 +285,17 @@ def watch(known):
     return made
 
 
+def test_an_arm_that_is_learned_anew_forgets_what_was_being_learned():
+    watch = ArmWatch(Model(ROBOT), default_markers(ROBOT), WatchSettings(3, 20000.0, NOISE))
+    rows = postures(3, 7)
+    for tensions, positions in zip(rows, looked(make_plant(ROBOT, {}), rows, 2), strict=True):
+        watch.update(tensions, positions)
+    learning = watch._learning
+    watch.learn_anew()
+    learning.join()
+    assert watch.state is None and '0 of 3' in watch.text
+
+
 def test_an_arm_that_stays_as_it_is_raises_no_alarm(learned, watch):
     rows = postures(40, 11)
     for tensions, positions in zip(rows, looked(learned[0], rows, 3), strict=True):

@@ -29,6 +29,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -389,7 +390,8 @@ class ArmWatch:
         if self._learning is None:
             self._references.append((tensions, positions))
             if len(self._references) >= self.settings.reference_postures:
-                self._learning = ComputingThread(self._learn, 'learning')
+                known = self._arm, tuple(self._references), self._frames
+                self._learning = ComputingThread(partial(self._learn, *known), 'learning')
                 self._learning.start()
         return None
 
@@ -415,7 +417,11 @@ class ArmWatch:
             return None  # the thread that learns uses the model
         return self._observer.update(tensions, positions, pulls, frames)
 
-    def _learn(self) -> None:
-        tensions, positions = (np.array(part) for part in zip(*self._references, strict=True))
-        self._arm.fit(tensions, positions, self._frames)
-        self.alarm = DriftAlarm(self._arm, self.settings.alarm_postures)
+    def _learn(
+        self, arm: BuiltArm, references: Sequence[tuple[Floats, Floats]], frames: int
+    ) -> None:
+        tensions, positions = (np.array(part) for part in zip(*references, strict=True))
+        arm.fit(tensions, positions, frames)
+        alarm = DriftAlarm(arm, self.settings.alarm_postures)
+        if arm is self._arm:  # else the arm is learned anew
+            self.alarm = alarm
