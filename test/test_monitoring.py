@@ -84,10 +84,11 @@ def test_markers_that_are_never_seen_add_nothing_to_the_noise_of_the_others():
     assert many.spread == one.spread
 
 
-def test_a_changing_input_is_not_still():
+@pytest.mark.parametrize('other', [[], [np.nan]], ids=['alone', 'beside one that is unknown'])
+def test_a_changing_input_is_not_still(other):
     window = StillWindow(0.6, 0.002, 0.05)
     for index in range(30):
-        window.put(index / 30.0, np.array([index / 30.0]), np.zeros((1, 3)))
+        window.put(index / 30.0, np.array([index / 30.0, *other]), np.zeros((1, 3)))
     assert window.settled() is None
 
 
@@ -120,6 +121,18 @@ def test_every_settled_posture_is_recorded_once(model, tmp_path):
     assert dataset.position_noise == pytest.approx(1e-4 / np.sqrt(18), rel=0.3)
     again = load_dataset(save_dataset(dataset, tmp_path / 'x'))
     assert again.positions == pytest.approx(dataset.positions)
+
+
+def test_a_posture_with_a_wire_whose_pull_is_unknown_is_recorded_once(model):
+    monitor, shape = Monitor(model), model.shape(POSTURES[0])
+    monitor.start_recording()
+    arcs, pulls = np.array([m.arc_length for m in monitor.markers]), np.array(shape.pulls)
+    points, pulls[0] = shape.markers(arcs, np.zeros((30, 3))), np.nan
+    for now in np.arange(60) / 30.0:
+        monitor.put_states(now, NAN, pulls)
+        monitor.put_frame(now, points)
+    (recorded,) = monitor.recorded
+    assert recorded.inputs == pytest.approx(pulls, nan_ok=True)
 
 
 def test_a_recording_that_was_stopped_goes_on_until_it_lies_in_a_folder(model):

@@ -139,7 +139,8 @@ class StillWindow:
         early = times < times[-1] - self.duration / 2
         if min(early.sum(), (~early).sum()) < FRAMES_PER_HALF_MIN:
             return None
-        if np.abs(inputs[early].mean(axis=0) - inputs[~early].mean(axis=0)).max() > self.change:
+        changes = np.abs(inputs[early].mean(axis=0) - inputs[~early].mean(axis=0))
+        if np.nan_to_num(changes).max() > self.change:  # nan: not observable
             return None
         moved = np.linalg.norm(
             mean_over(positions[early], 0) - mean_over(positions[~early], 0), axis=1
@@ -441,7 +442,7 @@ class Monitor:
         """Whether the arm is still at the last posture."""
         if last is None:
             return False
-        moved = np.abs(settled.inputs - last.inputs).max()
+        moved = np.nan_to_num(np.abs(settled.inputs - last.inputs)).max()
         return bool(moved < 2.0 * self._windows[kind].change)
 
     def _averaged(self, settled: StillMeasurement, kind: str) -> StillMeasurement:
