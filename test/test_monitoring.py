@@ -189,6 +189,21 @@ def test_add_needs_a_diagnosis_first():
         Work().add(False)
 
 
+def test_an_addition_that_was_asked_for_twice_is_answered_twice():
+    work, sums = Work(), {'before': 2e-3, 'after': 1e-3, 'floor': 1e-4}
+    work._lines.put({'kind': 'verdict', 'content': {'verdict': 'missing_effect', 'sentence': ''}})
+    work._lines.put({'kind': 'addition', 'effects': ['gravity'], 'file': 'better.yaml',
+                     'partial': False, **sums})  # fmt: skip
+    work.news()
+    for _ in range(2):  # before the controller has answered
+        work.add(False)
+        assert [one['kind'] for one in work.news()] == ['add']
+    for _ in range(2):
+        assert work.answered(True, '').startswith('added gravity: 2.00 mm -> 1.00 mm')
+    with pytest.raises(InputError, match='call record, then diagnose'):
+        work.add(False)
+
+
 @pytest.mark.parametrize('name', ['hinge_friction', 'tip_load', 'soft_cell', 'none'])
 def test_what_is_hidden_moves_the_tip_by_millimetres(name):
     robot, catalogue = refined(load_robot('kato_10_1')), load_catalogue()

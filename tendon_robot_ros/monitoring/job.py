@@ -139,6 +139,7 @@ class Work:
         self._lines: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self._verdict: Verdict | None = None
         self._addition: dict[str, Any] | None = None
+        self._sent: dict[str, Any] = {}  # the last addition that went to the controller
         self._requested: bool | None = None  # `partial` of a requested addition
         self.added = 0  # number of descriptions that the controller accepted
 
@@ -227,7 +228,7 @@ class Work:
         addition, requested = self._addition, self._requested
         if addition is None or requested is None:
             return []
-        self._requested = None
+        self._requested, self._sent = None, addition
         if addition['partial'] and not requested:
             return [{'kind': 'refused', 'text': 'nothing was added: see partial'}]
         return [{'kind': 'add', 'file': addition['file'], 'text': f'sending {addition["file"]}'}]
@@ -236,9 +237,10 @@ class Work:
         """Take the controller's answer to the new description; return it in words."""
         if not accepted:
             return f'the controller refuses the new description: {reason}'
-        assert self._addition is not None
         self.added += 1
-        addition, self._addition, self._verdict = self._addition, None, None
+        addition = self._sent
+        if addition is self._addition:  # else another answer or diagnosis came before this one
+            self._addition = self._verdict = None
         errors = f'{mm(addition["before"])} -> {mm(addition["after"])}'
         return f'added {listed(addition["effects"])}: {errors} on postures left out in turn'
 
