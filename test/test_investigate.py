@@ -227,6 +227,13 @@ def test_interrupted_it_lets_go_and_goes_on_where_it_was(tmp_path):
         Investigation(stranger, Goal(), folder, resume=True)
 
 
+def test_a_diagnosis_of_the_same_postures_confirms_nothing():
+    investigation = Investigation(exact_arm({'hinge_friction': {}}), Goal(postures=4))
+    assert investigation.run().outcome is InvestigationEnd.BUDGET
+    assert investigation.judge() is None
+    assert [one.names for one in investigation.record.rounds] == [['hinge_friction']]
+
+
 def test_a_request_to_stop_ends_it_during_a_diagnosis_and_the_arm_is_released(tmp_path):
     folder, subject = tmp_path / 'stopped', exact_arm({'hinge_friction': {}})
 

@@ -281,7 +281,9 @@ class Investigation:
             short(diagnosis),
             unexcluded,
         )
-        self.record.rounds.append(now)
+        # an earlier one of the same postures confirms nothing: none came, or it was resumed
+        earlier = [one for one in self.record.rounds if one.postures < now.postures]
+        self.record.rounds = [*earlier, now]
         self.record.save()
         outcome = settled(diagnosis, self.record.rounds, self.goal, now.postures)
         width = '' if now.widest is None else f', to {100.0 * now.widest:.0f} %'
