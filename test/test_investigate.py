@@ -33,7 +33,7 @@ from tendon_robot_ros.investigation.goal import (
     settled,
 )
 from tendon_robot_ros.investigation.loop import Investigation
-from tendon_robot_ros.investigation.measuring import empty_dataset
+from tendon_robot_ros.investigation.measuring import PostureMeasured, Record, empty_dataset
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
@@ -232,6 +232,22 @@ def test_a_diagnosis_of_the_same_postures_confirms_nothing():
     assert investigation.run().outcome is InvestigationEnd.BUDGET
     assert investigation.judge() is None
     assert [one.names for one in investigation.record.rounds] == [['hinge_friction']]
+
+
+@pytest.mark.parametrize('trials', [3, 4])
+def test_resumed_it_takes_more_trials_than_were_seen_before(tmp_path, trials):
+    subject, inputs = exact_arm({}), np.full(4, 0.3)
+    record = Record.begin(subject, tmp_path / 'few', 3)
+    positions = subject.measure(inputs, 3).positions
+    positions[2] = np.nan
+    record.take(inputs, PostureMeasured(positions, np.tile(inputs, (3, 1))), 1e-4)
+    again = Record.resume(subject, tmp_path / 'few', trials)
+    more = subject.measure(inputs, trials)
+    again.take(inputs, more, 1e-4)
+    assert again.dataset.trials.tolist() == [2, trials]
+    assert np.array_equal(again.dataset.positions[1], more.positions)
+    assert np.array_equal(again.dataset.positions[0, :2], positions[:2])
+    assert len(load_dataset(tmp_path / 'few' / 'data').postures) == 2
 
 
 def test_a_request_to_stop_ends_it_during_a_diagnosis_and_the_arm_is_released(tmp_path):

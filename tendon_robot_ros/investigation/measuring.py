@@ -201,28 +201,29 @@ def with_posture(
     old: DataSet, inputs: Floats, measured: PostureMeasured, noise: float | None
 ) -> DataSet:
     """Return a data set with one posture more; missing trials are nan."""
-    trials = old.positions.shape[1]
+    # one that is resumed may have had fewer
+    trials = max(old.positions.shape[1], len(measured.positions))
     trial_inputs: Floats | None = None
     if old.trial_inputs is not None or measured.inputs is not None:
         as_commanded = np.tile(inputs, (len(measured.positions), 1))
         now = as_commanded if measured.inputs is None else measured.inputs
-        trial_inputs = np.concatenate([old.inputs_by_trial, _padded(now, trials)])
+        trial_inputs = _joined(old.inputs_by_trial, now, trials)
     return replace(
         old,
         postures=(*old.postures, str(len(old.postures) + 1)),
         inputs=np.vstack([old.inputs, inputs]),
-        positions=np.concatenate([old.positions, _padded(measured.positions, trials)]),
+        positions=_joined(old.positions, measured.positions, trials),
         trial_inputs=trial_inputs,
         trial_names=(),
         position_noise=noise,
     )
 
 
-def _padded(values: Floats, trials: int) -> Floats:
-    """Return the trials (Q, ...) of a posture as (1, trials, ...), nan where one is missing."""
-    padded = np.full((1, trials, *values.shape[1:]), np.nan)
-    padded[0, : len(values)] = values
-    return padded
+def _joined(old: Floats, new: Floats, trials: int) -> Floats:
+    """Return postures (P, q, ...) and a new one (Q, ...) with so many trials, nan if missing."""
+    joined = np.full((len(old) + 1, trials, *new.shape[1:]), np.nan)
+    joined[:-1, : old.shape[1]], joined[-1, : len(new)] = old, new
+    return joined
 
 
 @dataclass(frozen=True)
