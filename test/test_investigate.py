@@ -20,6 +20,7 @@ from tendon_robot_ros.investigation.choice import (
     LinearDesign,
     OpenQuestion,
     Room,
+    allowed,
     choose,
     information,
     pool,
@@ -311,6 +312,18 @@ def test_postures_keep_out_of_a_region_on_their_whole_way():
     for share in np.linspace(0.0, 1.0, 37):
         shapes = model.shapes(low + share * (kept - low)).positions
         assert away.clearance(shapes.reshape(-1, 3)).distance > 0.0
+
+
+def test_a_wire_that_was_slack_before_pulls_the_arm_into_no_region():
+    robot = load_robot(KATO)
+    model = Model(robot)
+    left, right = (np.full((1, 4), np.nan) for _ in range(2))
+    left[0, 0], right[0, 1] = (model.shape(row).pulls.max() for row in np.eye(4)[:2])
+    inside = Sphere(tuple(model.pull_shape(left[0]).tip_position.tolist()), 0.005)
+    room = Room(KeepOut((Region('lamp', inside),)))
+    for start in (None, right[0]):
+        assert not len(allowed(left, Goal(), 'displacement', model, room, start))
+        assert len(allowed(right, Goal(), 'displacement', model, room, start))
 
 
 @pytest.mark.parametrize(

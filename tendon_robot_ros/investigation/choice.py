@@ -156,8 +156,10 @@ def _keeps_out(model: Model, row: Floats, input: str, room: Room, start: Floats 
     if start is None:
         start = model.limits[:, 0] if input == 'tension' else np.zeros_like(row)
     fractions = np.linspace(0.0, 1.0, PATH_POINTS)[:, None]
-    path = np.where(np.isnan(row), np.nan, start + fractions * (row - start))
     try:
+        if np.isnan(start).any():  # a slack wire begins as long as the arm needs it there
+            start = np.where(np.isnan(start), model.pull_shape(start).pulls, start)
+        path = np.where(np.isnan(row), np.nan, start + fractions * (row - start))
         shapes = model.shapes(path) if input == 'tension' else pull_shapes(model, path)
     except (NoEquilibriumError, InputError):
         return False
