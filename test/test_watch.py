@@ -161,6 +161,15 @@ def test_half_of_what_may_be_lacking_is_a_parabola_and_what_it_leaves(name):
     assert 0.5 * slope[k] + 0.25 * bend[k] + left[k] == pytest.approx(half - none, abs=1e-8)
 
 
+def test_a_slack_wire_makes_a_smooth_model_no_less_certain():
+    robot = replace(coarse('kato_10_1'), effects={})
+    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
+    for slack in (0.0, 0.01):
+        kinked = arm.expected(np.array([slack, 0.5, slack, slack])).columns[:, arm.built :]
+        assert kinked.shape[1] == 2 * len(robot.inputs)
+        assert np.abs(kinked).max() < 0.01 * NOISE
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('name', ARMS)
 def test_to_know_an_error_makes_no_force_worse_than_not_to_know_it(name):

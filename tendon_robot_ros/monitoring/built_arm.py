@@ -49,6 +49,8 @@ RELATIVE_ERRORS = 0.0, 0.0003, 0.001, 0.003, 0.01
 FRAME, LOAD = 'base_misalignment', 'tip_load'
 # [1] significance of a posture that does not fit the arm: its probability by chance
 ODD_PROBABILITY = 1e-6
+# [N] of a slack wire: it moves no marker, but shows the slope by its tension, as none would not
+SLACK_N = 1e-6
 
 
 @dataclass(frozen=True)
@@ -155,7 +157,7 @@ class BuiltArm:
 
     def expected(self, tensions: Floats, point: Point | None = None) -> Expected | None:
         """Return the prediction under tensions (m,) [N], None without equilibrium."""
-        inputs = np.maximum(tensions, 0.0)[None]
+        inputs = np.maximum(tensions, SLACK_N)[None]
         shapes = self.shapes(inputs, point or {})
         if shapes is None:
             return None
@@ -203,7 +205,7 @@ class BuiltArm:
         if near is None or not len(self._gains):
             return np.zeros((len(markers), 0))
         steps, shifted = near
-        per_newton = columns[:, self._gains] / self.plausible[self._gains] / inputs.clip(1e-9)
+        per_newton = columns[:, self._gains] / self.plausible[self._gains] / inputs
         whole, half = np.split(shifted - markers - steps @ per_newton.T, 2)
         return np.asarray((whole - 4.0 * half).T)
 
