@@ -4,6 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from arms import planar
 from source_tree import ROOT
 
 from tendon_robot_ros.cli.main import main
@@ -41,6 +42,12 @@ def test_default_postures_are_within_the_limits_and_bend_every_section(path):
     last = np.linalg.norm(np.split(bend, edges, axis=1)[-1].sum(axis=1), axis=1)
     assert last.max() < 1.3 * SECTION_BEND_MAX_RAD
     assert np.ptp(last) > 0.5 * SECTION_BEND_MAX_RAD
+
+
+def test_postures_stay_within_limits_of_more_digits_than_they_have():
+    robot = replace(planar(), tension_limits=(0.03333333, 0.77777777))
+    tensions = default_postures(robot)
+    assert (tensions.min(), tensions.max()) == robot.tension_limits
 
 
 def test_a_check_has_other_postures_and_a_sequence_lets_go():

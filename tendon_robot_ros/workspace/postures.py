@@ -71,7 +71,7 @@ def default_postures(
     else:
         singles = design.singles()[: max(count // 3, 1)] if seed == 0 else []
         rows = [*singles, *design.bends(count - len(singles))]
-    tensions = np.round(np.clip(rows, *robot.tension_limits), 4)
+    tensions = np.clip(np.round(rows, 4), *robot.tension_limits)
     if input == 'tension':
         return tensions
     taut = np.array(rows) > 0.0
