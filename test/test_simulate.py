@@ -12,7 +12,9 @@ from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.data.dataset import INPUTS, PATHS
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.monitoring.built_arm import usual_kinks
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot.estimates import handling
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
 from tendon_robot_ros.simulation.plant import make_plant
@@ -44,10 +46,30 @@ def test_default_postures_are_within_the_limits_and_bend_every_section(path):
     assert np.ptp(last) > 0.5 * SECTION_BEND_MAX_RAD
 
 
+@pytest.mark.parametrize('input', INPUTS)
+def test_every_posture_of_an_arm_with_one_tendon_pulls_it_otherwise(input):
+    arm = planar()
+    tensions = default_postures(replace(arm, tendons=arm.tendons[1:]), 12, 1, input)
+    assert (tensions > 0.0).all()
+    assert len(np.unique(tensions)) == 12
+
+
 def test_postures_stay_within_limits_of_more_digits_than_they_have():
     robot = replace(planar(), tension_limits=(0.03333333, 0.77777777))
     tensions = default_postures(robot)
     assert (tensions.min(), tensions.max()) == robot.tension_limits
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('cells', [1, 4])
+def test_a_group_whose_tendons_balance_squeezes_and_bends_to_no_side(cells):
+    arm = planar(cells=cells)
+    group = [replace(one, name=f'{one.name} too', group='both') for one in arm.tendons]
+    robot = replace(arm, tendons=(*arm.tendons, *group))
+    *single, both = default_postures(robot, 20)[3:].T
+    assert np.array_equal(both, np.min(single, axis=0))
+    assert usual_kinks(robot, 1.0)[2] == 0.0
+    assert 'NOT PLAUSIBLE' not in '\n'.join(handling(robot))
 
 
 def test_a_check_has_other_postures_and_a_sequence_lets_go():

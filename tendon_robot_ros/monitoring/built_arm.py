@@ -434,7 +434,8 @@ def moving_effects(robot: Robot, catalogue: Catalogue) -> list[Effect]:
 
 
 def usual_kinks(robot: Robot, level: float) -> Floats:
-    """Return the change of each input (m,) [N] that bends a cell as a usual kink does."""
+    """Return the change of each input (m,) [N] that bends a cell as a usual kink does, or 0."""
     cells = np.array([section.cells for section in robot.sections])[end_sections(robot)]
     kink = level * imperfections.PLAUSIBLE_SIZES[imperfections.KINK][1]
-    return np.asarray(kink * cells / np.linalg.norm(bend_rates(robot), axis=1))
+    rates = np.linalg.norm(bend_rates(robot), axis=1)
+    return np.divide(kink * cells, rates, out=np.zeros(len(rates)), where=rates > 0.0)

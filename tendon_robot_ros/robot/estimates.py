@@ -32,6 +32,8 @@ MODEL_ERROR_MAX = 0.05
 TRACKER_NOISE_M = 3e-4
 # [1] times a noise or a known error of a model, because less may be by chance
 NOISE_FACTOR = 3.0
+# [1] of the terms of a sum, below which it is the rounding of numbers that cancel
+ROUNDING = 1e-12
 # [rad] 2°, to which a person sets up, or sees, a direction, because nobody is better by eye
 BY_EYE_RAD = math.radians(2.0)
 
@@ -56,15 +58,19 @@ def bend_rates(robot: Robot) -> Floats:
     """
     Return the bend per newton of each input, of the section in which it ends, (m, 2) [rad/N].
 
-    The sum over its cells of offset / stiffness: no friction, small bends (PCCA).
+    The sum over its cells of offset / stiffness: no friction, small bends (PCCA). A group whose
+    tendons balance bends by exactly 0.
     """
     per_newton = tendon_offsets(robot) / stiffnesses(robot)[:, None, None]  # (n, k, 2)
     sections = np.repeat(np.arange(len(robot.sections)), [s.cells for s in robot.sections])
-    rates = [
-        per_newton[sections == last][:, list(members)].sum(axis=(0, 1))
+    own = [
+        per_newton[sections == last][:, list(members)]
         for last, members in zip(end_sections(robot), robot.input_tendons, strict=True)
     ]
-    return np.array(rates)
+    rates, sizes = (
+        np.array([one.sum(axis=(0, 1)) for one in of]) for of in (own, map(np.abs, own))
+    )
+    return np.where(np.abs(rates) > ROUNDING * sizes, rates, 0.0)
 
 
 def mass(robot: Robot) -> float:

@@ -87,11 +87,13 @@ class _Design:
         self.count = len(robot.inputs)
         self.last = end_sections(robot)  # section that an input ends in
         self.rate = bend_rates(robot)  # bend of that section per newton [rad/N]
+        # (m,) its size; of a group that only squeezes any, as it bends nothing
+        self.size = np.maximum(np.linalg.norm(self.rate, axis=1), 1e-300)
         self.sections = np.unique(self.last)
 
     def singles(self) -> list[Floats]:
         """Each input alone at three quarters of the largest bend."""
-        full = SINGLE_FRACTION * SECTION_BEND_MAX_RAD / np.linalg.norm(self.rate, axis=1)
+        full = SINGLE_FRACTION * SECTION_BEND_MAX_RAD / self.size
         return list(np.diag(full))
 
     def bends(self, count: int) -> list[Floats]:
@@ -107,7 +109,7 @@ class _Design:
                 row += self.section(s, SECTION_BEND_MAX_RAD * sizes[s][i])
                 if self.squeezes and self.random.random() < 0.5:
                     members = self.last == s  # all tendons of a section leave it straight
-                    size = 1.0 / np.linalg.norm(self.rate[members], axis=1).max()  # [N] a radian
+                    size = 1.0 / self.size[members].max()  # [N] a radian
                     row[members] += self.random.uniform(*SQUEEZE_FRACTIONS) * size
             rows.append(row)
         return rows
@@ -118,7 +120,9 @@ class _Design:
         rate = self.rate[members]
         weights = self.random.normal(size=len(members)) @ rate  # a direction that they span
         towards = weights / max(float(np.linalg.norm(weights)), 1e-300)
-        cosines = np.maximum(rate @ towards / np.linalg.norm(rate, axis=1), 0.0)
+        cosines = rate @ towards / self.size[members]
+        if (cosines < SIDE_COSINE).all():  # no tendon is on this side
+            cosines = -cosines
         cosines[cosines < SIDE_COSINE] = 0.0
         row = np.zeros(self.count)
         row[members] = cosines * bend / max(float(np.linalg.norm(cosines @ rate)), 1e-300)
