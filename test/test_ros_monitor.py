@@ -6,6 +6,7 @@ import signal
 import time
 from dataclasses import replace
 from itertools import cycle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,10 @@ from std_msgs.msg import Float64, Float64MultiArray, String
 from visualization_msgs.msg import Marker, MarkerArray
 from watched_arm import coarse
 
+from tendon_robot_ros.monitoring import History
+from tendon_robot_ros.monitoring.monitor import FrameMean
 from tendon_robot_ros.robot import dump_robot, load_robot
+from tendon_robot_ros.ros.monitor.watching import Watching
 
 pytestmark = [pytest.mark.ros, pytest.mark.long]
 LOADED = 120.0  # [s] a busy machine may need to load the model
@@ -46,6 +50,25 @@ FITTED = COARSE.with_effect(
     {'relative_change': 0.0},
     {'parameters': {'relative_change': INTERVAL}},
 )
+
+
+def test_a_single_reading_that_a_load_cell_misses_does_not_hide_the_force_of_the_others():
+    states, told = History(), []
+    watching = SimpleNamespace(
+        _drift=False,
+        _monitor=SimpleNamespace(states=states),
+        _period=0.0,
+        _frames=FrameMean(1e-4, 0.01, 3.0),
+        _is_due=lambda: True,
+        _publish=lambda tensions, *_: told.append(tensions),
+        watch=SimpleNamespace(slopes=None),
+    )
+    for number in range(30):
+        now, tension = number / 10.0, np.nan if number == 10 else 1.0
+        states.put(now, np.array([tension, 1.0, np.nan, np.nan]))
+        Watching.frame(watching, now, np.zeros((2, 3)), None)
+    assert np.isfinite(told).all()
+    assert len(told) == 29
 
 
 class Watched(Station):

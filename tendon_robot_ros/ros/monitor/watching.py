@@ -115,6 +115,8 @@ class Watching:
         if state is None or not np.isfinite(self._period):
             return
         tensions, _ = np.split(state, 2)
+        if not np.isfinite(tensions).all():  # it would hide the force as long as it is averaged
+            return
         self._frames.put(at, tensions, positions)
         if self._is_due():
             tensions, positions, frames = self._frames.take(self.watch.slopes)
