@@ -1,5 +1,7 @@
 """Paths of the tip: sampled, timed within limits, flown backwards; without ROS."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from control_rig import ROBOTS, model
@@ -17,6 +19,7 @@ from tendon_robot_ros.paths.path import (
 )
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.workspace.view_angle import look_around
+from tendon_robot_ros.workspace.volume import Sampling
 
 PLACES = np.array([[0.0, 0.0, 0.2], [0.06, 0.0, 0.17], [0.08, 0.0, 0.14]])
 NONE = np.full((3, 3), np.nan)
@@ -143,3 +146,16 @@ def test_a_sweep_keeps_the_view_angle_while_the_tip_moves(name, angle):
     places = np.array([robot.shape(posture.tensions).tip_position for posture in postures])
     assert places == pytest.approx(np.array([posture.position for posture in postures]), abs=1e-9)
     assert np.ptp(places, axis=0).max() > 0.1
+
+
+def test_an_arm_whose_offsets_are_computed_is_as_flat_as_one_whose_offsets_are_typed():
+    typed = load_robot(ROBOTS / 'kato_10_1.yaml')
+    rounding = 1e-2 * np.sin(np.pi)  # [m] of an offset at 180 degrees
+    tendons = (replace(t, base=(t.base[0], rounding), end=t.end) for t in typed.tendons)
+    computed = replace(typed, tendons=tuple(tendons))
+    one, other = (look_around(Model(robot), 1.0, 5) for robot in (typed, computed))
+    assert [posture.name for posture in one] == [posture.name for posture in other]
+    for a, b in zip(one, other, strict=True):
+        assert b.tensions == pytest.approx(a.tensions, abs=1e-6)
+    edges = {Sampling.of(Model(robot), 3000).edge for robot in (typed, computed)}
+    assert len(edges) == 1

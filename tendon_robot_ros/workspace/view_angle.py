@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..common.arrays import ROWS_AT_ONCE, Floats
+from ..common.arrays import RESOLUTION, ROWS_AT_ONCE, Floats
 from ..common.errors import InputError, Progress, listener
 from ..common.rotations import about, angle_between
 from ..model.forward import TOLERANCE
@@ -355,6 +355,11 @@ def view(model: Model, angle: float, step: float = 0.1) -> ShapeBatch:
     return model.shapes(tensions[good])
 
 
+def is_flat(robot: Robot) -> bool:
+    """Whether all tendons lie in the x-z plane."""
+    return bool(np.abs(tendon_offsets(robot)[..., 1]).max() < RESOLUTION)
+
+
 def bisect(gap_at: Callable[[Floats], Floats], low: Floats, high: Floats) -> Floats:
     """
     Return tensions between two where a gap changes sign.
@@ -410,7 +415,7 @@ def look_around(model: Model, angle: float, steps: int) -> list[Posture]:
         The robot has no such postures within its limits.
 
     """
-    if all(tendon.base[1] == 0.0 for tendon in model.robot.tendons):
+    if is_flat(model.robot):
         return _in_plane(model, angle, steps)
     return _around(model, angle, steps)
 

@@ -35,7 +35,7 @@ from ..model.shape import ShapeBatch
 from ..robot import Robot, dump_robot
 from ..robot.description import tendon_offsets
 from .cubes import SPHERE_PART_COUNT, Cubes, Reached, beyond, folds, sphere_part
-from .view_angle import POSTURES_MAX
+from .view_angle import POSTURES_MAX, is_flat
 
 # [1] postures wanted for every cube: with fewer some stay empty by chance
 POSTURES_PER_CUBE = 10
@@ -112,7 +112,7 @@ class Sampling:
         if edge is None:
             # tips fill about three squares, or four cubes, of the length of the arm; those of one
             # section in space are a shell of about four squares
-            flat, wanted = not tendon_offsets(robot)[..., 1].any(), postures / POSTURES_PER_CUBE
+            flat, wanted = is_flat(robot), postures / POSTURES_PER_CUBE
             sheet = flat or bends_as_one(robot)
             count = (max(wanted, 0.0) / (3.0 if flat else 4.0)) ** (1 / 2 if sheet else 1 / 3)
             edge = robot.length / float(np.clip(count, minimum, maximum))
