@@ -114,6 +114,17 @@ def test_the_known_error_counts_until_references_show_its_size(name):
     assert after.excluded == ()
 
 
+def test_an_arm_whose_tip_is_never_seen_has_its_error_at_the_last_marker_that_is():
+    robot, rows = replace(ROBOT, model_error=1e-3), postures(8, 7)
+    seen = looked(make_plant(robot, {}), rows, 2)
+    seen[:, -1] = np.nan
+    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
+    arm.fit(rows, seen)
+    assert 0.0 < arm.response < 0.2
+    found = ContactObserver(arm).update(rows[0], seen[0])
+    assert not found.acts and np.isfinite(found.covariance).all()
+
+
 LACKED = 'transmission_loss', 0.05, 4e-3  # effect, its fraction [1], the error that it makes [m]
 
 

@@ -283,7 +283,8 @@ class BuiltArm:
             references = [None if one is None else self._reference(one, frames) for one in base]
             counts = ~contradicted(references, counts)
         self.excluded = tuple(np.flatnonzero(~counts).tolist())
-        tip = int(np.argmax(self.whole.dataset.arc_lengths))
+        seen = np.isfinite(positions[counts]).all(axis=2).any(axis=0)
+        tip = int(np.argmax(np.where(seen, self.whole.dataset.arc_lengths, -1.0)))  # or near it
         self.response = relative_error(self.robot.model_error or 0.0, positions[counts, tip])
         scores = self._follow(tensions[counts], positions[counts], frames)
         self.widening = widening(scores[len(scores) // 3 :])
