@@ -234,7 +234,7 @@ def folds(positions: Floats, thickness: Floats, lengths: Floats) -> Bools:
     Return which arms (b,) collide with themselves.
 
     Two places of the backbone are nearer than the tendons beside them need, although the arm
-    between them is long enough to turn round; or a cell bends until its holes meet.
+    between them is long enough to turn round. How far a single cell bends does not count.
 
     Parameters
     ----------
