@@ -12,6 +12,7 @@ from watched_arm import coarse
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import InputError, TendonRobotError
 from tendon_robot_ros.data import load_dataset
+from tendon_robot_ros.data.dataset import LOADINGS
 from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.inference.noise import Noise
@@ -91,14 +92,15 @@ def test_a_load_and_a_curvature_are_told_apart_where_they_differ_not_where_they_
     assert sum(gain for _, gain in chosen) > sum(gain for _, gain in same) + 1.0
 
 
-def test_postures_in_which_the_present_estimate_has_no_equilibrium_are_not_chosen():
+@pytest.mark.parametrize('path', LOADINGS)
+def test_postures_in_which_the_present_estimate_has_no_equilibrium_are_not_chosen(path):
     """An arm that is believed to be soft against twist buckles where two wires pull hard."""
     robot = replace(load_robot(KATO), effects={}, tolerances={}, exact=True)
     low, catalogue = robot.tension_limits[0], load_catalogue()
     gentle, other = np.array([[low, 0.8, low, 0.8], [0.8, low, 0.8, low]])
     hard = np.array([5.0, 0.0, 5.0, 0.0])
     measured = simulate(make_plant(robot, {}, scatter=0.0), gentle[None], seed=1)
-    measured = replace(measured, robot=robot)
+    measured = replace(measured, robot=robot, path=path)
     twist = frees_of(('torsion',), catalogue.sized(natural_sizes(robot)), robot)
     believed = OpenQuestion(('torsion',), dict.fromkeys(twist, 1.0), NOISE)
     chosen = choose(believed, measured, np.array([other, hard]), catalogue, 2)

@@ -243,9 +243,8 @@ class LinearDesign:
         as_if, shown = as_if_measured(old, pool, after, trials)
         predictor = Predictor(as_if, self.robot, self.catalogue)
         if predictor.markers(self.question.point) is None:
-            if shown != slice(None):
-                return [], []
-            bad = {int(name) for name in predictor.unsettled(self.question.point)}
+            each = 1 if shown == slice(None) else 2  # with the one before it
+            bad = {int(name) // each for name in predictor.unsettled(self.question.point)}
             keep = [i for i in range(len(pool)) if i not in bad]
             if len(keep) in (0, len(pool)):
                 return [], []
