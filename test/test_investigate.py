@@ -44,6 +44,7 @@ from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.studies.rehearse import SimulatedArm
+from tendon_robot_ros.workspace.postures import default_postures
 
 KATO = ROOT / 'config' / 'robots' / 'kato_10_1.yaml'
 COARSE = coarse('kato_10_1')
@@ -106,6 +107,17 @@ def test_postures_in_which_the_present_estimate_has_no_equilibrium_are_not_chose
     chosen = choose(believed, measured, np.array([other, hard]), catalogue, 2)
     assert [inputs.tolist() for inputs, _ in chosen] == [other.tolist()]
     assert choose(believed, measured, hard[None], catalogue) == []
+
+
+def test_of_a_sequence_of_wire_pulls_there_is_a_posture_after_one_with_slack_wires():
+    rows = default_postures(COARSE, 4, 1, 'displacement')
+    pulls = simulate(make_plant(COARSE), rows[:2], seed=1, trials=1, input='displacement')
+    measured = replace(pulls, robot=COARSE, path='sequence')
+    assert np.isnan(measured.inputs[-1]).any()
+    question = OpenQuestion(('hinge_friction',), {}, NOISE)
+    ((chosen, gain),) = choose(question, measured, rows[2:], load_catalogue())
+    assert gain > 0.0
+    assert (np.isnan(chosen) == np.isnan(rows[2:])).all(axis=1).any()
 
 
 def test_once_only_an_interval_is_too_wide_the_posture_that_narrows_it_is_chosen():

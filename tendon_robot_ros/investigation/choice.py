@@ -238,7 +238,7 @@ class LinearDesign:
         """Return the whitened rows of the solved postures of a pool, and their indices."""
         old = self.measured
         in_turn = old.path == 'sequence' and len(old.postures)
-        after = np.nan_to_num(old.inputs[-1]) if in_turn else None
+        after = old.inputs[-1] if in_turn else None
         trials = max(old.positions.shape[1], 1)
         as_if, shown = as_if_measured(old, pool, after, trials)
         predictor = Predictor(as_if, self.robot, self.catalogue)
