@@ -120,6 +120,15 @@ def test_of_a_sequence_of_wire_pulls_there_is_a_posture_after_one_with_slack_wir
     assert (np.isnan(chosen) == np.isnan(rows[2:])).all(axis=1).any()
 
 
+@pytest.mark.parametrize(('path', 'left'), [('from_straight', [2, 3]), ('sequence', [0, 2, 3])])
+def test_what_could_not_be_measured_is_not_asked_for_again(path, left):
+    investigation = Investigation(arm({}, path=path), Goal())
+    rows, record = default_postures(COARSE, 4), investigation.record
+    record.take(rows[0], investigation.arm.measure(rows[0], 1), None)
+    record.skip(rows[1], 'slipped')
+    assert np.array_equal(investigation.measurer.untried(rows), rows[left])
+
+
 def test_once_only_an_interval_is_too_wide_the_posture_that_narrows_it_is_chosen():
     """The second posture tells more in all, of a parameter that is known well already."""
     robot = replace(load_robot(KATO), effects={}, tolerances={}, exact=True)

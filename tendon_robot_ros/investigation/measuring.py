@@ -292,11 +292,10 @@ class Measurer:
         return None
 
     def untried(self, offered: Floats) -> Floats:
-        """Return the postures (b, m) that were neither measured nor skipped; all of a sequence."""
-        if self.arm.path != 'from_straight':
-            return offered
+        """Return the postures (b, m) not skipped, nor measured but in a sequence."""
         skipped = (np.array(one.inputs) for one in self.record.skipped)
-        for row in (*self.record.dataset.inputs, *skipped):
+        measured = self.record.dataset.inputs if self.arm.path == 'from_straight' else ()
+        for row in (*measured, *skipped):
             same = np.isclose(np.nan_to_num(offered), np.nan_to_num(row), atol=1e-9).all(axis=1)
             offered = offered[~same]
         return offered
