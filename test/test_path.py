@@ -112,6 +112,19 @@ def test_what_is_out_of_reach_is_named_by_row():
     assert good.out_of_reach() == ''
 
 
+def test_an_arm_that_remembers_leaves_no_path_that_it_follows_from_where_it_is():
+    robot = load_robot(ROBOTS / 'kato_10_1.yaml')
+    arm = Model(robot.with_effect('friction_memory', {'presliding_length': 2e-4}))
+    shape = None
+    for tension in (0.1, 0.6, 0.3):  # [N] it is let go, and stays bent by friction
+        shape = arm.follow(shape, np.array([tension, 0.1, 0.1, 0.1]))
+    end = arm.follow(shape, np.array([0.34, 0.1, 0.1, 0.1]))
+    path = tip_path(None, np.array([shape.tip_position, end.tip_position]), NONE[:2])
+    planned = Plan(arm, path, WIDE, shape)
+    assert planned.detours.max() < 1e-5
+    assert planned.detour() == ''
+
+
 def test_commands_are_thinned_to_what_straight_lines_need():
     times = np.linspace(0.0, 10.0, 2001)
     values = np.column_stack([np.interp(times, [0.0, 3.0, 10.0], [0.1, 2.0, 1.0]), times * 0.1])

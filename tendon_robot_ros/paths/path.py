@@ -255,9 +255,9 @@ class Plan:
         halfway = 0.5 * (tensions[:-1] + tensions[1:])
         if not len(halfway):
             between = np.zeros((0, 3))
-        elif model.remembers:  # each from the sample before it, not from straight
+        elif model.remembers:  # each from the sample before it, the first one from the start
             both = np.stack([tensions[:-1], halfway], axis=1).reshape(-1, tensions.shape[1])
-            between = model.sequence(both).tip_position[1::2]
+            between = model.sequence(both, start.memory.copy()).tip_position[1::2]
         else:
             between = model.shapes(halfway).tip_position
         middle = 0.5 * (path.positions[:-1] + path.positions[1:])
