@@ -34,8 +34,8 @@ from tendon_robot_ros.investigation.goal import (
     possible,
     settled,
 )
-from tendon_robot_ros.investigation.loop import Investigation
-from tendon_robot_ros.investigation.measuring import PostureMeasured, Record, empty_dataset
+from tendon_robot_ros.investigation.loop import Findings, Investigation, write_results
+from tendon_robot_ros.investigation.measuring import BETTER, PostureMeasured, Record, empty_dataset
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import natural_sizes
@@ -272,6 +272,15 @@ def test_resumed_it_takes_more_trials_than_were_seen_before(tmp_path, trials):
     assert np.array_equal(again.dataset.positions[1], more.positions)
     assert np.array_equal(again.dataset.positions[0, :2], positions[:2])
     assert len(load_dataset(tmp_path / 'few' / 'data').postures) == 2
+
+
+def test_what_was_named_before_is_not_what_a_resumed_investigation_found(tmp_path):
+    investigation = Investigation(exact_arm({}), Goal(), tmp_path / 'again')
+    better, record = tmp_path / 'again' / BETTER, investigation.record
+    better.write_text('of an earlier run\n')
+    findings = Findings(InvestigationEnd.BUDGET, None, record.dataset, record)
+    write_results(findings, tmp_path / 'again', investigation.catalogue, add=False)
+    assert not better.exists()
 
 
 def test_a_request_to_stop_ends_it_during_a_diagnosis_and_the_arm_is_released(tmp_path):

@@ -361,6 +361,7 @@ def write_results(findings: Findings, folder: Path, catalogue: Catalogue, add: b
 
     """
     diagnosis, added = findings.diagnosis, findings.addition
+    (folder / measuring.BETTER).unlink(missing_ok=True)  # of an earlier run that was resumed
     written = [measuring.DATA] if len(findings.dataset.postures) else []
     if findings.check is not None:
         save_dataset(findings.check, folder / measuring.CHECK, True)
