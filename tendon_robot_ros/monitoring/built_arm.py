@@ -49,7 +49,7 @@ RELATIVE_ERRORS = 0.0, 0.0003, 0.001, 0.003, 0.01
 FRAME, LOAD = 'base_misalignment', 'tip_load'
 # [1] significance of a posture that does not fit the arm: its probability by chance
 ODD_PROBABILITY = 1e-6
-# [N] of a slack wire: it moves no marker, but shows the slope by its tension, as none would not
+# [N] of a slack wire: so small that it moves no marker, because at 0 a gain shows no slope
 SLACK_N = 1e-6
 
 

@@ -32,7 +32,7 @@ MODEL_ERROR_MAX = 0.05
 TRACKER_NOISE_M = 3e-4
 # [1] times a noise or a known error of a model, because less may be by chance
 NOISE_FACTOR = 3.0
-# [1] of the terms of a sum, below which it is the rounding of numbers that cancel
+# [1] of the terms of a sum; a smaller sum is 0, because it is the rounding of numbers that cancel
 ROUNDING = 1e-12
 # [rad] 2°, to which a person sets up, or sees, a direction, because nobody is better by eye
 BY_EYE_RAD = math.radians(2.0)
