@@ -1,11 +1,15 @@
 """The proposed posture separates what could not be told apart, more often than a random one."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import simulated
 from simulated import measure, postures
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.next_measurement import input_grid, propose
 
 ROBOT = simulated.robot()
 ONE_TENDON = np.outer([0.3, 0.5, 0.7, 0.9, 1.1, 1.3], [1.0, 0.0])
@@ -24,6 +28,19 @@ def size(found):
 def after(inputs, hidden, seed, tensions):
     """Return the size of the class once one more posture was measured."""
     return size(diagnose(measure(postures(ROBOT, [*inputs, tensions]), hidden, seed=seed)))
+
+
+def test_postures_are_proposed_where_all_those_used_have_the_same_total_tension():
+    pulled = np.linspace(0.5, 1.2, 6)
+    grid = input_grid(postures(ROBOT, np.column_stack([pulled, 1.7 - pulled])), (0.0, 1.2))
+    assert len(grid) > 0
+    assert grid.max() <= 1.2 and grid.sum(axis=1).min() > 1.7
+
+
+def test_nothing_is_proposed_where_the_tensions_used_are_the_limits():
+    limited = replace(ROBOT, tension_limits=(0.0, 1.0))
+    used = postures(limited, [[1.0, 1.0]] * 3)
+    assert propose(SimpleNamespace(dataset=used, robot=limited), []) is None
 
 
 @pytest.mark.blind

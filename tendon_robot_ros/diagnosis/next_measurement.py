@@ -57,6 +57,8 @@ def _conditions(session: Session, group: Sequence[Ranked]):  # type: ignore[no-u
         )
         return
     grid = input_grid(session.dataset, session.robot.tension_limits)
+    if not len(grid):  # those used are at the limits already
+        return
     yield None, None, grid
     names = {name for r in group for name in r.candidate.names}
     gravity = np.array(session.predictor.robot.gravity or (0.0, 0.0, 0.0))
@@ -81,9 +83,9 @@ def input_grid(dataset: DataSet, limits: tuple[float, float]) -> Floats:
         unit = np.array(list(product(fractions, repeat=m)))
     else:
         unit = np.random.default_rng(0).choice(fractions, (GRID_POSTURES_MAX, m))
-    grid = low + unit * (top - low)
-    grid = grid[grid.sum(axis=1) > 1.5 * used.sum(axis=1).min()]
-    return grid[grid.sum(axis=1) <= 2.0 * max(used.sum(axis=1).max(), used.max())]
+    grid, sums = low + unit * (top - low), used.sum(axis=1)
+    grid = grid[grid.sum(axis=1) > min(1.5 * sums.min(), sums.max())]  # sums may be all alike
+    return grid[grid.sum(axis=1) <= 2.0 * max(sums.max(), used.max())]
 
 
 def as_if_measured(
