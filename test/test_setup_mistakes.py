@@ -70,6 +70,15 @@ def test_markers_a_cell_further_than_said_are_named_and_the_tip_marker_is_among_
     assert '1 cell nearer to the tip' in found.sentence
 
 
+def test_markers_on_both_sides_of_the_arm_are_as_far_apart_as_described(right):
+    staggered = tuple(
+        replace(m, offset=(0.0, 0.02 * (-1.0) ** i, 0.0)) for i, m in enumerate(right.markers)
+    )
+    hidden = {'backbone_stiffness': {'relative_change': 0.3}}
+    wide = simulated.measure(replace(right, markers=staggered), hidden)
+    assert find_mistake(Predictor(wide, ROBOT, CATALOGUE), FLOOR) is None
+
+
 def test_a_mistake_without_which_nothing_settles_says_the_best_factor(right):
     section = ROBOT.sections[0]
     soft = replace(section, bending_stiffness=tuple(0.1 * k for k in section.bending_stiffness))
