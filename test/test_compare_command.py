@@ -14,7 +14,7 @@ from tendon_robot_ros.common.words import mm
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.comparison.result import from_json, load_comparison, to_json
 from tendon_robot_ros.data import load_dataset, save_dataset
-from tendon_robot_ros.report.comparison import kind, sentences
+from tendon_robot_ros.report.comparison import kind, sentences, verdict
 
 
 @pytest.fixture(scope='module')
@@ -41,6 +41,15 @@ def test_the_json_reads_back_and_has_the_promised_keys(hinges, tmp_path, capsys)
     np.testing.assert_allclose(back.models[0].distance, direct.distance, atol=1e-15)
     assert main(['compare', str(blind('b') / 'fit'), '--json']) == 0
     assert json.loads(capsys.readouterr().out)['noise_floor'] == pytest.approx(back.noise_floor)
+
+
+def test_a_known_error_of_the_model_is_read_back(hinges):
+    off = compare(hinges).models[0].rms
+    found = compare(hinges, replace(hinges.robot, model_error=2.0 * off))
+    back = from_json(json.loads(json.dumps(to_json(found))))
+    assert back.models[0].model_error == found.models[0].model_error
+    assert verdict(back) == verdict(found)
+    assert verdict(back).endswith('as far off as its description says (model_error).')
 
 
 def test_a_foreign_json_is_refused(tmp_path):

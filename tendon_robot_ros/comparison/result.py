@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
@@ -326,6 +326,7 @@ def _model_to_json(comparison: Comparison, model: ModelErrors) -> dict[str, Any]
     return {
         'name': model.name,
         'effects': list(model.effects),
+        'model_error': model.model_error,
         'rms': model.rms,
         'max': model.max,
         'tip_error': _estimate(model.tip_error(error)),
@@ -395,7 +396,9 @@ def from_json(content: dict[str, Any]) -> Comparison:
     for model in content['models']:
         each = model['per_posture']
         held = _columns(each, 'shape', 'angles', 'error', 'tip_errors', 'centreline')
-        models.append(ModelErrors(model['name'], tuple(model['effects']), *held.values()))
+        errors = ModelErrors(model['name'], tuple(model['effects']), *held.values())
+        known = model.get('model_error', 0.0)  # files of older versions have none
+        models.append(replace(errors, model_error=known))
     return Comparison(measured, tuple(models), content['error'])
 
 
