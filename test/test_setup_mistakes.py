@@ -79,6 +79,14 @@ def test_markers_on_both_sides_of_the_arm_are_as_far_apart_as_described(right):
     assert find_mistake(Predictor(wide, ROBOT, CATALOGUE), FLOOR) is None
 
 
+def test_neighbours_that_were_never_seen_together_tell_no_unit():
+    right = measured(simulated.robot(cells=4), {'backbone_stiffness': {'relative_change': 0.3}})
+    positions = right.positions.copy()
+    positions[::2, :, 2] = positions[1::2, :, 1] = np.nan
+    hidden = replace(right, positions=positions)
+    assert find_mistake(Predictor(hidden, right.robot, CATALOGUE), FLOOR) is None
+
+
 def test_a_mistake_without_which_nothing_settles_says_the_best_factor(right):
     section = ROBOT.sections[0]
     soft = replace(section, bending_stiffness=tuple(0.1 * k for k in section.bending_stiffness))

@@ -244,11 +244,15 @@ def by_distances(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     chords = [
         np.linalg.norm(np.diff(one[:, order], axis=1), axis=2) for one in (dataset.mean, markers)
     ]
-    ratio = np.nanmedian(chords[0] / chords[1], axis=0)
+    together = np.isfinite(chords[0]).any(axis=0)  # neighbours that were seen in one posture
+    if not together.any():
+        return
+    ratio = np.full(len(apart), np.nan)
+    ratio[together] = np.nanmedian((chords[0] / chords[1])[:, together], axis=0)
     straight = dataset.offsets + dataset.arc_lengths[:, None] * [0.0, 0.0, 1.0]
     described = np.linalg.norm(np.diff(straight[order], axis=0), axis=1)
-    straightest = np.nanmax(chords[0], axis=0)  # a chord is never longer than the arm between
-    scale = float(np.median(straightest / described))
+    straightest = np.nanmax(chords[0][:, together], axis=0)  # never longer than the arm between
+    scale = float(np.median(straightest / described[together]))
     if not 1.0 / MISTAKEN_RATIO_MIN < scale < MISTAKEN_RATIO_MIN:
         factor = as_unit(1.0 / scale)
         yield from evaluated(
