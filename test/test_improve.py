@@ -74,6 +74,16 @@ def test_both_hidden_effects_are_found_and_then_it_stops(arm):
     assert repr(found).startswith('<Improvement by tip_load, hinge_friction: left out 15')
 
 
+def test_a_marker_that_was_never_seen_keeps_no_effect_out():
+    described = simulated.robot(cells=4, exact=True)
+    dataset = measured(described, {'backbone_stiffness': {'relative_change': 0.3}})
+    positions = dataset.positions.copy()
+    positions[:, :, 2] = np.nan
+    found = improve(replace(dataset, positions=positions))
+    assert found.taken == 1
+    assert total(found.steps[1].left_out) < 0.1 * total(found.steps[0].left_out)
+
+
 def test_the_errors_of_every_step_are_those_of_descriptions(arm):
     dataset, check, found = arm
     last = found.steps[found.taken]

@@ -365,7 +365,7 @@ class Searched:
         for k, state in enumerate(search.path()):
             show('searching', k, STEPS_MAX)
             after = errors_of(search.whole, search.written(state), search.catalogue)
-            if k and np.isnan(after).any():
+            if k and np.isnan(after).all():
                 break  # a posture that was not used has no equilibrium
             states.append(state)
             fitted.append(after)
@@ -426,7 +426,7 @@ class Searched:
             robot=with_origin(addition, search.robot),
             steps=tuple(steps),
             taken=last_step,
-            chosen=np.sqrt(np.nanmean(self.chosen, axis=0)),
+            chosen=np.sqrt(mean_over(self.chosen, 0)),
             values=addition.values,
             loads=addition.loads,
             profile=stiffness_change(search.robot, final.fit.point),
@@ -457,7 +457,7 @@ class Searched:
             joined,
             removed,
             fitted,
-            np.sqrt(np.nanmean(after, axis=0)),
+            np.sqrt(mean_over(after, 0)),
             None if self.check is None else errors_of(self.check, robot, self.search.catalogue),
             *fall(before, after),
         )

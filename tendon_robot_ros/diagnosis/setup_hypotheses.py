@@ -17,7 +17,7 @@ from ..common.words import STANDARD_GRAVITY
 from ..data import DataSet
 from ..inference.marginal import NEGLIGIBLE
 from ..inference.predict import Point, Predictor
-from ..inference.statistics import rms
+from ..inference.statistics import mean_over, rms
 from .verdict import RESIDUAL_RATIO_MAX
 
 EARTH = round(STANDARD_GRAVITY, 2)  # [m/s²] as descriptions have it, because `robot new` rounds so
@@ -64,7 +64,7 @@ class Mistake:
         if self.mended is None:
             return math.inf
         places = self.mended.mean
-        return RESIDUAL_RATIO_MAX * rms(places - np.nanmean(places, axis=0))
+        return RESIDUAL_RATIO_MAX * rms(places - mean_over(places, 0))
 
     def text(self, before: float) -> str:
         """Return the report with the rms error [m] before and after."""

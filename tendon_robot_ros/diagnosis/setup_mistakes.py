@@ -24,7 +24,7 @@ from ..inference.noise import Noise, Whitener
 from ..inference.predict import Point, Predictor
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import Session
-from ..inference.statistics import rms
+from ..inference.statistics import mean_over, rms
 from .marker_hypotheses import (
     by_distances,
     exchanged,
@@ -185,7 +185,8 @@ def _cut(predictor: Predictor, markers: Floats, floor: float) -> Mistake | None:
 def _frozen(predictor: Predictor, markers: Floats, floor: float) -> Mistake | None:
     """Return the mistake of a marker that does not move while the others do, if any."""
     dataset = predictor.dataset
-    spread = np.sqrt(np.nanvar(dataset.mean, axis=0).sum(axis=1))
+    moved = dataset.mean - mean_over(dataset.mean, 0)
+    spread = np.sqrt(mean_over(moved**2, 0).sum(axis=1))
     if len(spread) < 3:
         return None
     expected = np.sqrt(np.var(markers, axis=0).sum(axis=1))
