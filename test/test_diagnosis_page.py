@@ -205,6 +205,19 @@ def test_the_missing_bend_of_a_softer_block_is_found():
     np.testing.assert_allclose(lacks.bend[:, :3], 0.0, atol=2e-4)
 
 
+def test_a_missing_bend_is_the_same_in_whatever_frame_the_tracker_sees_it():
+    robot, lacks = simulated.robot(), []
+    quiet = replace(simulated.NOISE, position=1e-6, trial=0.0, setting=0.0)
+    for frame in ({}, {'rotation_x': 0.3, 'rotation_y': 0.9, 'rotation_z': -0.5, 'shift_x': 0.01}):
+        seen = replace(robot, effects={**robot.effects, 'base_misalignment': frame})
+        hidden = {'backbone_stiffness': {'relative_change': 0.3}}
+        data = simulated.measured(seen, hidden, count=4, noise=quiet)
+        lacks.append(missing_moment(data, seen, compare(data).measured, load_catalogue()))
+    for key in ('bend', 'deviation'):
+        plain, turned = (getattr(one, key) for one in lacks)
+        np.testing.assert_allclose(turned, plain, atol=0.01 * np.abs(plain).max())
+
+
 def test_a_base_plate_lacks_no_moment_and_has_no_stiffness_of_its_own():
     """It does not bend: its 1000 N·m/rad would make a million of every small deviation."""
     robot = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')

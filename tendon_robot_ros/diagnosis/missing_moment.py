@@ -70,7 +70,8 @@ def missing_moment(
     edges = blocks_of(robot, len(dataset.markers))
     below = robot.plate_cells
     sd = np.sqrt(measured.floor / 3.0)
-    missed = measured.mean - markers
+    seen = predictor.model.measured(np.vstack([np.eye(3), np.zeros(3)]))  # by a turned tracker
+    missed = (measured.mean - markers) @ np.linalg.inv(seen[:3] - seen[3])  # in the base frame
     fits = [arm.fit(p, missed[p], sd[p], edges) for p in range(len(sd))]
     bend, spread = np.array(fits).swapaxes(0, 1)
     spread = np.where(spread < BEND_MAX_RAD, spread, np.nan)
