@@ -10,11 +10,12 @@ from marks import slow
 from measurements import blind
 
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.diagnosis.add import add_effect
+from tendon_robot_ros.diagnosis.add import add_effect, fit_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.placed import Screen, acting, directions, ways
+from tendon_robot_ros.diagnosis.placed import Screen, acting, directions, pushes_by, ways
 from tendon_robot_ros.diagnosis.select import gather
 from tendon_robot_ros.diagnosis.verdict import Verdict
+from tendon_robot_ros.inference.crossval import described_by
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.report.comparison import Push
@@ -166,6 +167,21 @@ def test_a_wall_is_named_with_the_postures_that_touch_it_and_added(arm, built):
     assert 'touches in postures' in verdict(found)
     made = add_effect(dataset, 'contact', start=found.effects)
     assert made.check.gone > 0.8
+
+
+def test_what_pushes_the_arm_is_told_with_the_effects_beside_it():
+    wall = dict(zip(FACES, (40.0, 0.035, math.pi, 0.0), strict=True))
+    described = simulated.robot(cells=5, exact=True).with_effect('contact', wall)
+    stiffer = {'backbone_stiffness': {'relative_change': 0.8}}
+    dataset = simulated.measured(described, stiffer, count=10)
+    session = Question.of(dataset, described, simulated.CATALOGUE).prepared()
+    session, fit = fit_effects(session, ['contact', *stiffer])
+    robot = described_by(session, fit, beside=False)
+    rows = acting(Predictor(dataset, robot, session.catalogue), {}, 'contact')
+    touching = np.flatnonzero(np.isfinite(rows[:, 0]))
+    told = pushes_by(session, fit, 'contact')
+    assert [one['posture'] for one in told] == [dataset.postures[p] for p in touching]
+    np.testing.assert_allclose([one['force'] for one in told], rows[touching, 4:], rtol=1e-3)
 
 
 def test_imperfections_are_weighed_as_they_move_an_arm_that_is_held():

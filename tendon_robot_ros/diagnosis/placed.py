@@ -291,11 +291,11 @@ def pushes_by(session: Session, fit: Fit, name: str, scale: float = 1.0) -> list
     multiplies the covariance.
     """
     predictor, slopes = session.predictor, []
-    point = {free: value for free, value in fit.point.items() if free.effect == name}
-    rows, own = acting(predictor, point, name), [free.effect == name for free in fit.frees]
-    for free, value in point.items():
+    point = {free: fit.point[free] for free in fit.frees}  # those beside it bend the arm as well
+    rows, own = acting(predictor, point, name), [free.effect == name for free in point]
+    for free in (one for one in point if one.effect == name):
         step = DIFFERENCE_STEP * free.parameter.typical
-        moved = acting(predictor, {**point, free: value + step}, name)
+        moved = acting(predictor, {**point, free: point[free] + step}, name)
         slopes.append(np.nan_to_num(moved[:, 0] - rows[:, 0]) / step)
     known = scale * fit.interval_covariance[np.ix_(own, own)]
     spread = np.einsum('qp,qr,rp->p', slopes, np.nan_to_num(known, posinf=0.0), slopes)
