@@ -169,6 +169,20 @@ def test_a_wall_is_named_with_the_postures_that_touch_it_and_added(arm, built):
     assert made.check.gone > 0.8
 
 
+def test_the_measured_arm_is_where_the_markers_that_were_seen_say():
+    wall = dict(zip(FACES, WALLS['planar'], strict=True))
+    dataset = measured('planar', {'contact': wall})
+    positions = dataset.positions.copy()
+    positions[:, :, -1] = np.nan
+    screens = []
+    for one in (dataset, replace(dataset, positions=positions)):
+        session = Question.of(one, dataset.robot, simulated.CATALOGUE).prepared()
+        screens.append(Screen.of(session.fitter, session.base_fit()))
+    whole, without_tip = (screen.measured for screen in screens)
+    pushed_by = np.linalg.norm(whole - screens[0].free, axis=2).max()
+    assert np.linalg.norm(whole - without_tip, axis=2).max() < 0.3 * pushed_by
+
+
 def test_what_pushes_the_arm_is_told_with_the_effects_beside_it():
     wall = dict(zip(FACES, (40.0, 0.035, math.pi, 0.0), strict=True))
     described = simulated.robot(cells=5, exact=True).with_effect('contact', wall)

@@ -68,9 +68,11 @@ class Screen:
             free[:, part.rows] = shapes.of(predictor.last_visits(part)).positions.swapaxes(0, 1)
         order = np.argsort(dataset.arc_lengths)
         arcs = np.append(0.0, dataset.arc_lengths[order])
-        off = np.nan_to_num(dataset.mean - markers)[:, order].transpose(0, 2, 1)
-        off = np.concatenate([np.zeros((*off.shape[:2], 1)), off], axis=2)
-        moved = np.array([[np.interp(arc_lengths, arcs, row) for row in one] for one in off])
+        off = np.insert((dataset.mean - markers)[:, order], 0, 0.0, axis=1)  # (P, 1 + J, 3) [m]
+        seen = zip(off, np.isfinite(off).all(axis=2), strict=True)
+        moved = np.array(
+            [[np.interp(arc_lengths, arcs[own], row) for row in one[own].T] for one, own in seen]
+        )
         left, white = fitter.lift(fitter.residual(markers)), fitter.whitener.white(slopes)
         shown = np.flatnonzero(dataset.trials > 0)
         alone = (fitter.whitener.owners == shown[:, None])[:, None]  # in one posture each
