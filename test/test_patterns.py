@@ -57,9 +57,12 @@ def test_a_stiffness_that_changes_along_the_arm_is_a_taper():
 
 
 def test_inputs_that_were_not_what_was_set_are_a_gain_per_posture():
-    _, found = patterns_of(measured(ROBOT, noise=replace(NOISE, setting=0.08), count=12))
+    dataset = measured(ROBOT, noise=replace(NOISE, setting=0.08), count=12)
+    _, found = patterns_of(dataset)
     gains = found['gain_per_posture']
     assert 0.03 < np.std(gains.values) < 0.15
+    # a wire pull is no tension
+    assert 'inputs that were not what was set: by' in gains.text(dataset.postures)
 
 
 def test_a_base_that_turns_is_a_rotation_per_posture():

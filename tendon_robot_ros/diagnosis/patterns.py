@@ -70,9 +70,9 @@ class Pattern:
         worst = postures[int(np.argmax(np.abs(values)))]
         if self.name == 'gain_per_posture':
             return (
-                f'The remainder looks like tensions that were not what was set: by '
+                f'The remainder looks like inputs that were not what was set: by '
                 f'{100.0 * np.std(values):.1f} % (sd) from posture to posture, most in {worst}. '
-                'Check how tensions are set, or declare tension_noise: setting.'
+                'Check how they are set, or declare tension_noise: setting.'
             )
         return (
             'The remainder looks like a base that turns from posture to posture: by '
