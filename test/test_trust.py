@@ -17,12 +17,24 @@ from tendon_robot_ros.diagnosis.trust import (
     smallest_sizes,
     wilson,
 )
+from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.inference.statistics import chi2_noncentrality
 from tendon_robot_ros.report.diagnosis_text import trust_lines
 
 ROBOT = simulated.robot(cells=8, exact=True)
+DRUM = """
+from tendon_robot_ros.effects import Effect, Parameter
+
+
+def law(tension, factor):
+    return tension * factor
+
+
+PARAMETERS = (Parameter('factor', '1', 0.5, 2.0, 1.0, typical=0.1),)
+EFFECT = Effect('drum', 'a drum of another size', 'actuation', PARAMETERS, law, divisible=True)
+"""
 
 
 @pytest.fixture(scope='module')
@@ -92,6 +104,18 @@ def test_tolerances_and_imperfections_hide_their_twins():
     assert sizes[2]['backbone_stiffness'] > 5.0 * sizes[0]['backbone_stiffness'], (
         'gains do the same'
     )
+
+
+@pytest.mark.long
+def test_what_is_hidden_is_a_size_away_from_where_nothing_acts(tmp_path):
+    (tmp_path / 'drum.py').write_text(DRUM)
+    dataset = measured(ROBOT, count=5)
+    session = Question.of(dataset, ROBOT, load_catalogue([str(tmp_path / 'drum.py')])).weigh({})
+    tested, _ = session.split_tested({})
+    seen = smallest_sizes(session.fit_all(tested), session.nuisances)
+    drum = next(one for one in seen if one.free.effect == 'drum')
+    assert drum.size < 0.1
+    assert drum.value == 1.0 + drum.size
 
 
 def test_power_and_rates_are_as_tables_say():

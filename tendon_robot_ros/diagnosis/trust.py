@@ -34,6 +34,7 @@ class SmallestSize:
     free: FreeParameter
     size: float | None
     alone: bool  # whether it is the only parameter of its effect
+    value: float  # of the parameter that is so far from its neutral value
 
     @property
     def plain(self) -> dict[str, Any]:
@@ -63,13 +64,14 @@ def smallest_sizes(
         for free, start, size in zip(
             fit.frees, np.broadcast_to(fit.described, k), spread, strict=True
         ):
-            side = 1.0 if start + size <= free.parameter.high else -1.0
-            inside = free.parameter.low <= start + side * size <= free.parameter.high
-            sizes.append(SmallestSize(free, float(size) if inside else None, k == 1))
+            value = start + (size if start + size <= free.parameter.high else -size)
+            inside = free.parameter.low <= value <= free.parameter.high
+            found = float(size) if inside else None
+            sizes.append(SmallestSize(free, found, k == 1, float(value)))
     return tuple(sizes)
 
 
-Task = tuple[int, FreeParameter | None, float]  # seed, hidden parameter and its size
+Task = tuple[int, FreeParameter | None, float]  # seed, hidden parameter and its value
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,7 @@ def assess(
     hidden = [one for one in smallest if one.size is not None and one.free.effect not in slow]
     clean: list[Task] = [(seed, None, 0.0) for seed in range(runs)]
     sized: list[Task] = [
-        (10_000 + i, hidden[i % len(hidden)].free, hidden[i % len(hidden)].size or 0.0)
+        (10_000 + i, hidden[i % len(hidden)].free, hidden[i % len(hidden)].value)
         for i in range(runs // 2 if hidden else 0)
     ]
     job = Job(dataset, session.noise, tuple(files))
@@ -175,7 +177,7 @@ class Job:
 
     def alarm(self, task: Task) -> bool | None:
         """Return whether a simulated data set raises the alarm; None without equilibrium."""
-        seed, free, size = task
+        seed, free, value = task
         catalogue = load_catalogue(self.files)
         question = Question.of(self.dataset, self.dataset.robot, catalogue)
         random = np.random.default_rng([seed, 71])
@@ -183,7 +185,7 @@ class Job:
             n.free: float(random.normal(n.centre, n.spread)) for n in question.nuisances
         }
         if free is not None:
-            point[free] = size
+            point[free] = value
         simulated = simulated_measurements(question.predictor, point, self.noise, random)
         if simulated is None:
             return None
