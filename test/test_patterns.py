@@ -65,6 +65,15 @@ def test_inputs_that_were_not_what_was_set_are_a_gain_per_posture():
     assert 'inputs that were not what was set: by' in gains.text(dataset.postures)
 
 
+def test_an_input_that_was_nearly_three_times_what_was_set_is_found():
+    arm = simulated.robot(cells=5, exact=True)
+    dataset = measured(arm)
+    inputs = dataset.inputs.copy()
+    inputs[7] /= 2.9
+    _, found = patterns_of(replace(dataset, inputs=inputs), arm)
+    assert found['gain_per_posture'].values[7] == pytest.approx(1.9, abs=0.01)
+
+
 def test_a_base_that_turns_is_a_rotation_per_posture():
     dataset = measured(ROBOT)
     angles = np.linspace(-0.03, 0.03, len(dataset.postures))

@@ -261,7 +261,7 @@ class Patterns:
         """Fit a factor on the inputs in every posture."""
         inputs, markers, r = self.fitter.predictor.inputs, self.markers, self.r
         gains = np.ones(len(inputs))
-        for _ in range(6):
+        while True:  # the misfit falls in every round
             moved = self._driven(inputs * (gains + 1e-3)[:, None])
             if moved is None:
                 return None
@@ -273,7 +273,7 @@ class Patterns:
             if predicted is None:
                 break
             new = self.white(predicted)
-            if new @ new >= r @ r:
+            if not new @ new < r @ r:
                 break
             gain = float(r @ r - new @ new)
             gains, markers, r = trial, predicted, new
