@@ -56,6 +56,14 @@ def test_postures_of_data_sets_of_one_name_have_names_of_their_own():
     assert both.select(both.postures[:1]).postures == both.postures[:1]
 
 
+def test_a_data_set_of_which_no_posture_is_selected_has_no_part_in_what_is_predicted():
+    free, weighed = loaded()
+    _, check = join([free, weighed.select(['0'])]).hold_out(0.2)
+    assert [part.name for part, _ in check.divided] == ['free']
+    shown = Predictor(check, ROBOT, simulated.CATALOGUE).markers({})
+    assert np.allclose(shown, Model(ROBOT).shapes(check.inputs).positions, rtol=0, atol=1e-12)
+
+
 def test_what_is_known_acts_on_its_own_postures_only():
     both = join(loaded())
     predictor = Predictor(both, ROBOT, simulated.CATALOGUE)

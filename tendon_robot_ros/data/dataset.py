@@ -375,11 +375,12 @@ class DataSet(TextResult):
 
     @cached_property
     def divided(self) -> tuple[tuple[Part, Ints], ...]:
-        """The parts, and which postures each of them has."""
+        """The parts that have postures, and which each of them has."""
         if self.part is None:
             whole = Part(self.name, self.gravity, self.known)
             return ((whole, np.arange(len(self.postures))),)
-        return tuple((part, np.flatnonzero(self.part == i)) for i, part in enumerate(self.parts))
+        rows = [np.flatnonzero(self.part == i) for i in range(len(self.parts))]
+        return tuple((part, own) for part, own in zip(self.parts, rows, strict=True) if len(own))
 
     @cached_property
     def groups(self) -> Ints:
