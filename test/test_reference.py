@@ -101,6 +101,16 @@ def test_nothing_has_changed_between_two_recordings_of_one_arm(arm):
     assert diagnose(new, reference=old).verdict == 'adequate'
 
 
+def test_a_sequence_is_a_reference_where_a_posture_lost_a_marker():
+    robot = replace(ARMS['planar'], exact=True)
+    inputs = default_postures(robot, 8)
+    old, new = (recorded(robot, inputs, noise=QUIET, seed=k, path='sequence') for k in (1, 2))
+    positions = old.positions.copy()
+    positions[3, :, 2] = np.nan
+    left = since(new, replace(old, positions=positions))
+    assert np.abs(off(left)).max() < 0.05 * np.abs(off(new)).max()
+
+
 def test_postures_that_are_selected_keep_what_is_open():
     robot = ARMS['planar']
     inputs = default_postures(robot, 6)

@@ -80,13 +80,15 @@ def since(
     session = question.prepared()
     found = described_by(session, session.base_fit(), beside=True)
     settled = session.dataset
-    off = settled.mean - predict(settled, found, session.catalogue)[1]
+    # a sequence has postures on its way of which not all markers, or none, were read
+    seen = np.flatnonzero((settled.counts > 0).all(axis=1))
+    off = (settled.mean - predict(settled, found, session.catalogue)[1])[seen]
     heights = settled.arc_lengths / described.length
-    tracker = session.noise.position**2 / settled.counts.mean(axis=1)  # (P,) [m²]
-    all_noise = np.array([float(one.mean()) for one in session.whitener.variance])
+    tracker = session.noise.position**2 / settled.counts[seen].mean(axis=1)  # (P,) [m²]
+    all_noise = np.array([float(session.whitener.variance[p].mean()) for p in seen])
     driven = 3.0 * (all_noise - tracker) / heights.mean()  # by inputs: it grows along the arm
     deviations = _DeviationProcess(
-        np.nan_to_num(session.predictor.inputs), off, heights, driven, tracker
+        np.nan_to_num(session.predictor.inputs[seen]), off, heights, driven, tracker
     )
     taken, doubt, noise = deviations.at(np.nan_to_num(mean_inputs(new)))
     return replace(
