@@ -6,6 +6,7 @@ import pytest
 import simulated
 from simulated import CATALOGUE, measured
 
+from tendon_robot_ros.data import join
 from tendon_robot_ros.inference.candidates import why_untested
 from tendon_robot_ros.inference.session import Question
 
@@ -48,6 +49,8 @@ def test_memory_needs_tendons_that_are_let_go():
     rising = replace(dataset, path='sequence', inputs=dataset.inputs.cumsum(axis=0))
     reason = why_untested(CATALOGUE['friction_memory'], rising, ROBOT)
     assert reason == 'no unloading'
+    again = join([rising, replace(rising, name='again')])  # from straight
+    assert why_untested(CATALOGUE['friction_memory'], again, ROBOT) == 'no unloading'
 
 
 def test_elongation_shows_when_wire_pulls_are_commanded():

@@ -206,7 +206,10 @@ def is_tested(
 def unloads(dataset: DataSet) -> bool:
     """Return whether an input falls between a posture and the next one."""
     inputs, visits = np.nan_to_num(dataset.inputs), dataset.visits
-    paths = [slice(None)] if visits is None else [visits.rows[leg] for leg in visits.legs()]
+    if visits is None:
+        paths = [rows for _, rows in dataset.divided]
+    else:
+        paths = [visits.rows[leg] for leg in visits.legs()]
     let_go = any((np.diff(inputs[path], axis=0) < 0.0).any() for path in paths)
     return dataset.path != 'from_straight' and let_go
 
