@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
+from arms import planar
 from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.inference.noise import Noise, Whitener, estimate_noise, input_slopes
@@ -69,6 +70,17 @@ def test_measured_differences_between_trials_are_no_noise():
     assert found.trial < 0.002
     blind = replace(known, trial_inputs=None)
     assert estimate_noise(blind, slopes_of(blind)).trial == pytest.approx(0.02, rel=0.3)
+
+
+def test_wires_that_are_let_out_more_in_a_trial_are_no_noise():
+    robot = planar(effects={'wire_spring': {'compliance': 1e-3}, 'pull_zero': {'offset': 2e-3}})
+    pulls = [[pull, -share * pull] for pull in (1e-3, 2e-3, 3e-3, 4e-3) for share in (0.9, 1.0)]
+    blank = simulated.postures(robot, pulls, input='displacement')
+    factors = 1.0 + 0.02 * np.random.default_rng(1).normal(size=(8, 5, 2))
+    known = replace(blank, trial_inputs=blank.inputs[:, None] * factors)
+    known = simulated.measure(known, noise=replace(NOISE, trial=0.0, setting=0.0))
+    slopes = input_slopes(Predictor(known, robot, CATALOGUE), {})
+    assert estimate_noise(known, slopes).trial < 0.002
 
 
 def whitened(runs=40, **changes):

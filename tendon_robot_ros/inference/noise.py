@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..data import DataSet
-from .predict import Point, Predictor
+from .predict import Point, Predictor, mean_inputs
 from .statistics import chi2_isf, minimum, rms
 
 BoolArray = npt.NDArray[np.bool_]
@@ -96,9 +96,9 @@ def input_effect(dataset: DataSet, slopes: Floats) -> Floats:
     From where they would be under the mean inputs of the posture, by slopes of `input_slopes`;
     zero where all trials have the same inputs.
     """
-    inputs = np.nan_to_num(dataset.inputs)[:, None]
+    inputs = np.nan_to_num(mean_inputs(dataset))[:, None]
     relative = (np.nan_to_num(dataset.inputs_by_trial) - inputs) / np.where(
-        inputs == 0.0, np.inf, inputs
+        inputs == 0.0, np.inf, np.abs(inputs)
     )
     return np.asarray(np.einsum('pqm,pmjc->pqjc', relative, slopes))
 
