@@ -27,6 +27,7 @@ def test_intervals_and_tests_are_those_of_scipy():
     assert (test.t, test.p, test.n) == pytest.approx((expected.statistic, expected.pvalue, 12))
     assert (test.low, test.high) == pytest.approx((limits.low, limits.high))
     assert paired_t(('a', 'b'), a[:1], b[:1], None) is None
+    assert paired_t(('a', 'b'), [1.0, 1.0], [2.0, 2.0], None).t == -np.inf
     same = paired_t(('a', 'b'), a, a, None)
     assert (same.t, same.p) == (0.0, 1.0)
 

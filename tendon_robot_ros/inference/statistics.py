@@ -208,6 +208,7 @@ def paired_t(
         return None
     mean = estimate(differences)
     error = half_width(differences, 'sem')
-    t = 0.0 if mean.mean == 0.0 else float(np.divide(mean.mean, error)) if error > 0.0 else np.inf
+    t = float(mean.mean / error) if error > 0.0 else math.copysign(math.inf, mean.mean)
+    t = t if mean.mean else 0.0
     p = float(2.0 * t_sf(abs(t), len(differences) - 1))
     return PairedT(models, mean.mean, mean.low, mean.high, t, p, len(differences), posture)
