@@ -126,9 +126,12 @@ def test_a_response_that_is_off_is_off_by_the_same_share_of_every_change():
     np.testing.assert_allclose(more, 0.01 * np.outer(changed, changed), atol=1e-15)
     assert session.response_error == 0.0
     known = Question.of(session.dataset, replace(ROBOT, model_error=3e-3), CATALOGUE)
-    tips = known.dataset.mean[:, -1]
-    moved = np.sqrt(((tips - tips.mean(axis=0)) ** 2).sum(axis=1).mean())
-    assert known.response_error == pytest.approx(3e-3 / moved)
+    blind = known.dataset.positions.copy()
+    blind[:, :, -1] = np.nan  # then the marker before stands for the tip
+    for one, last in ((known, -1), (known.about(replace(known.dataset, positions=blind)), -2)):
+        tips = known.dataset.mean[:, last]
+        moved = np.sqrt(((tips - tips.mean(axis=0)) ** 2).sum(axis=1).mean())
+        assert one.response_error == pytest.approx(3e-3 / moved)
 
 
 def test_a_comparison_says_whether_the_error_is_the_known_one():

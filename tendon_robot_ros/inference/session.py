@@ -215,7 +215,8 @@ class Question:
         """Return the known error of the model relative to what the tip moves [1]."""
         reference, dataset = self.dataset.reference, self.dataset
         known = self.robot.model_error or 0.0 if reference is None else reference.error
-        return relative_error(known, dataset.mean[:, int(np.argmax(dataset.arc_lengths))])
+        heights = np.where(dataset.counts.any(axis=0), dataset.arc_lengths, -np.inf)
+        return relative_error(known, dataset.mean[:, int(np.argmax(heights))])
 
     @cached_property
     def described(self) -> tuple[Predictor, Floats | None]:
