@@ -46,6 +46,13 @@ def test_every_folder_keeps_its_licence():
         assert 'MIT License' in (TRUNK / name / 'LICENSE.txt').read_text(encoding='utf-8')
 
 
+@pytest.mark.long
+def test_an_arm_as_found_that_has_no_equilibrium_on_postures_left_out_is_not_written():
+    made = add_effects(TRUNK / 'base', ['backbone_stiffness'])
+    assert not made.beside
+    assert made.check.after < made.check.before < made.model_error
+
+
 def test_a_fit_that_makes_others_worse_is_not_written(tmp_path, monkeypatch, capsys):
     data = TRUNK / 'base'
     robot = load_dataset(data).robot

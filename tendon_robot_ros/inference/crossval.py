@@ -266,7 +266,8 @@ def written(session: Session, fit: Fit) -> Written:
     if not fit.as_built and not fit.nuisances:
         return Written(alone, alone, False, error, plain)
     together = left_out_squares(fitter, fit)
-    if root_mean(together) > LEFT_OUT_RATIO_MAX * error:
+    lost = np.isfinite(plain) & ~np.isfinite(together)  # without an equilibrium
+    if lost.any() or root_mean(together) > LEFT_OUT_RATIO_MAX * error:
         return Written(alone, alone, False, error, plain)
     return Written(alone, described_by(session, fit, beside=True), True, error, together)
 
