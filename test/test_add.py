@@ -52,6 +52,12 @@ def test_adding_what_a_blind_case_hides_removes_its_error(letter):
     assert made.more_at_work == ''
 
 
+def test_what_only_one_posture_shows_counts_as_described_where_that_is_left_out():
+    lone = add_effects(measured(ROBOT, {'tip_load': {'force_x': 0.05}}, count=1), ['tip_load'])
+    assert lone.fitted.after < 0.2 * lone.fitted.before
+    assert lone.check.after == pytest.approx(lone.check.before)
+
+
 @pytest.mark.blind
 def test_memory_is_added_to_a_sequence():
     """The arm is exact; imperfections that it has not would take a part of so short a length."""

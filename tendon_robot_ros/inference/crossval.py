@@ -150,15 +150,17 @@ def left_out_squares(
     Return squared errors (P, J) [m²] of postures that were not used: folds are left out in turn.
 
     The parameters without a fold follow from the Jacobian at the fit (one Gauss-Newton step within
-    their bounds); the
-    model itself then predicts the left-out postures, as the description to write would: with the
-    tolerances and imperfections that it can hold (`beside`), or without.
+    their bounds); what only the fold determines is as described. The model itself then predicts
+    the left-out postures, as the description to write would: with the tolerances and imperfections
+    that it can hold (`beside`), or without.
     """
     dataset, owners = fitter.predictor.dataset, fitter.whitener.owners
     predicted = np.full_like(fit.markers, np.nan)
     scale = np.maximum(np.linalg.norm(fit.jacobian, axis=0), 1e-300)
     scaled = fit.jacobian / scale
     normal, gradient = scaled.T @ scaled, scaled.T @ fit.residual
+    k = len(fit.frees)
+    gradient[:k] += RIDGE * scale[:k] * (fit.values[:k] - fit.described)
     room = np.full((2, len(scale)), [[-np.inf], [np.inf]])
     for i, own in enumerate(free.parameter for free in fit.all_frees):
         room[:, i] = (fit.values[i] - np.array([own.high, own.low])) * scale[i]
