@@ -6,7 +6,7 @@ from operator import attrgetter
 import numpy as np
 import pytest
 import simulated
-from arms import COARSE
+from arms import COARSE, planar
 from marks import slow
 from simulated import CATALOGUE, NOISE, measured
 
@@ -129,6 +129,18 @@ def test_two_effects_are_fitted_together():
     spread = np.sqrt(np.diag(loose.covariance)[:2])
     assert (np.abs(loose.values[:2] - [2e-4, 0.01]) < 3.0 * spread).all()
     assert (spread > np.sqrt(np.diag(fit.covariance)[:2])).all(), 'imperfections may have done it'
+
+
+def test_a_step_that_is_too_long_is_shortened_not_the_end_of_a_fit():
+    robot = replace(planar(), gravity=(0.0, 0.0, 0.0), exact=True)
+    dataset = measured(robot, {'tip_load': {'force_x': 0.05}}, 6, 3, input='displacement')
+    session = Question.of(dataset, robot, CATALOGUE).weigh({})
+    stiffness, load = (
+        free_parameters(session.catalogue[name], robot)
+        for name in ('tendon_stiffness', 'tip_load')
+    )
+    alone = session.fitter.fit(load)
+    assert session.fitter.fit((*stiffness, *load)).chi2 < alone.chi2 + 0.01
 
 
 def test_a_fit_that_begins_with_the_derivatives_of_another_ends_where_it_would_without_them():

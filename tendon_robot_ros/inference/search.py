@@ -221,14 +221,15 @@ class Search:
             part, step = normal[np.ix_(free, free)], np.zeros(len(self.scale))
             damped = part + self.damping * np.diag(np.diag(part) + 1e-12)
             step[free] = -np.linalg.solve(damped, gradient[free])
-            whole = self.values + np.clip(step, -30.0, 30.0) * self.scale
-            moved = np.clip(whole, self.low, self.high)
+            whole = self.values + step * self.scale
+            moved = self.values + np.clip(step, -30.0, 30.0) * self.scale
+            moved = np.clip(moved, self.low, self.high)
             step = (moved - self.values) / self.scale
             promised = -float(step @ (2.0 * gradient + normal @ step))
             if promised < 0.3 * gain_min:
                 if (moved == whole).all():
                     break
-                self.damping *= 8.0  # a shorter step may gain before a bound cuts it
+                self.damping *= 8.0  # a shorter step may gain before it is cut
                 continue
             predicted = self.residual(moved, self._ahead(moved))
             lifted = None if predicted is None else self.fitter.lift(predicted[0])
