@@ -120,7 +120,12 @@ def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
             scale[list(members)] *= 1.0 + change
     scale *= 1.0 + values.get(HOLE, np.zeros(len(scale)))
     tendons = tuple(
-        replace(t, base=_scaled(t.base, factor), end=_scaled(t.end, factor))
+        replace(
+            t,
+            base=_scaled(t.base, factor),
+            end=_scaled(t.end, factor),
+            offsets=tuple(_scaled(own, factor) for own in t.offsets),
+        )
         for t, factor in zip(robot.tendons, scale.tolist(), strict=True)
     )
     robot = replace(robot, tendons=tendons)
