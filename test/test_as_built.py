@@ -3,11 +3,12 @@
 from dataclasses import replace
 from pathlib import Path
 
+import arms
 import numpy as np
 import pytest
 import yaml
 from marks import slow
-from simulated import CATALOGUE
+from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.diagnosis.diagnose import diagnose
@@ -82,6 +83,14 @@ def test_a_cell_of_its_own_moves_the_markers_as_the_whole_model_does():
     split.around = {'cell_kink': np.tile([1e-3, 0.0], n)}
     free = free_parameters(CATALOGUE['pre_curvature'], split.whole)[0]
     np.testing.assert_allclose(split.markers({}), predictor.markers({free: 1e-3}), atol=1e-9)
+
+
+def test_masses_beside_the_axis_are_those_of_the_cells():
+    robot = replace(arms.wound(arms.spatial()), gravity=(0.0, 0.0, 9.81))
+    robot = robot.with_effect('gravity', {'linear_density': 0.3})
+    predictor = Predictor(measured(robot, count=3), robot, CATALOGUE)
+    shown = SplitPredictor(predictor).markers({})
+    np.testing.assert_allclose(shown, predictor.markers({}), atol=1e-12)
 
 
 @pytest.mark.parametrize('name', ['messy_008', 'messy_s0'])

@@ -22,7 +22,7 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..model.derivatives import DIFFERENCE_STEP, Entries, Move
 from ..model.shape import ShapeBatch
-from ..robot import Robot, Section
+from ..robot import Robot
 from ..robot.description import EffectValues
 from ..robot.estimates import natural_sizes
 from .predict import CELLS, Conditions, FreeParameter, Point, Predictor
@@ -271,13 +271,13 @@ class SplitPredictor(Predictor):
 def split_robot(robot: Robot, catalogue: Catalogue) -> Robot:
     """Return the same robot with every cell a section of its own."""
     sections = tuple(
-        Section(
-            f'{s.name} {i + 1}',
-            1,
-            s.cell_length,
-            (s.bending_stiffness[i],),
-            (s.mass_profile[i],),
-            s.bends_as,
+        replace(
+            s,
+            name=f'{s.name} {i + 1}',
+            cells=1,
+            bending_stiffness=(s.bending_stiffness[i],),
+            mass_profile=(s.mass_profile[i],),
+            mass_offset=s.mass_offset[i : i + 1],
         )
         for s in robot.sections
         for i in range(s.cells)
