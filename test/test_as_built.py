@@ -14,7 +14,7 @@ from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.patterns import Patterns
 from tendon_robot_ros.inference.fitter import Fitter
-from tendon_robot_ros.inference.imperfections import SplitPredictor, imperfections
+from tendon_robot_ros.inference.imperfections import SplitPredictor, imperfections, planar_axis
 from tendon_robot_ros.inference.marginal import Likelihood, Prior, RandomEffects
 from tendon_robot_ros.inference.outliers import find_outliers
 from tendon_robot_ros.inference.predict import Predictor, free_parameters
@@ -83,6 +83,11 @@ def test_a_cell_of_its_own_moves_the_markers_as_the_whole_model_does():
     split.around = {'cell_kink': np.tile([1e-3, 0.0], n)}
     free = free_parameters(CATALOGUE['pre_curvature'], split.whole)[0]
     np.testing.assert_allclose(split.markers({}), predictor.markers({free: 1e-3}), atol=1e-9)
+
+
+def test_an_arm_whose_tendons_wind_is_not_planar():
+    assert planar_axis(arms.planar()) == 0
+    assert planar_axis(arms.wound(arms.planar())) is None
 
 
 def test_masses_beside_the_axis_are_those_of_the_cells():

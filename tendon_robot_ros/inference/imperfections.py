@@ -23,7 +23,7 @@ from ..effects import Catalogue
 from ..model.derivatives import DIFFERENCE_STEP, Entries, Move
 from ..model.shape import ShapeBatch
 from ..robot import Robot
-from ..robot.description import EffectValues
+from ..robot.description import EffectValues, tendon_offsets
 from ..robot.estimates import natural_sizes
 from .predict import CELLS, Conditions, FreeParameter, Point, Predictor
 
@@ -115,8 +115,7 @@ def remainders(predictor: Predictor) -> Floats:
 
 def planar_axis(robot: Robot) -> int | None:
     """Axis (0: x, 1: y) towards which an arm bends whose tendons all lie in one plane."""
-    offsets = np.array([end for tendon in robot.tendons for end in (tendon.base, tendon.end)])
-    flat = np.abs(offsets).max(axis=0) < 1e-6
+    flat = np.abs(tendon_offsets(robot)).max(axis=(0, 1)) < 1e-6
     return 0 if flat[1] else 1 if flat[0] else None
 
 
@@ -130,6 +129,7 @@ class SplitPredictor(Predictor):
     def __init__(self, predictor: Predictor) -> None:
         """Split the robot of a predictor."""
         self.whole = predictor.robot
+        self.axis = planar_axis(self.whole)
         super().__init__(
             predictor.dataset,
             split_robot(predictor.robot, predictor.model.catalogue),
@@ -151,7 +151,7 @@ class SplitPredictor(Predictor):
         Unless `every` is asked for, an arm that is described as exact has declared kinds only.
         """
         cells = self.whole.cell_names
-        axis = planar_axis(self.whole)
+        axis = self.axis
         kinks = [f'{cell} towards {xy}' for cell in cells for xy in 'xy']
         labels = {CELLS: list(cells), KINK: kinks}
         if axis is not None:
@@ -200,7 +200,7 @@ class SplitPredictor(Predictor):
 
     def kinks(self) -> Floats:
         """Return the bend at rest of every cell (n, 2) [rad] by imperfections."""
-        axis, off = planar_axis(self.whole), self.around
+        axis, off = self.axis, self.around
         kinks = np.zeros((self.whole.cells, 2))
         if axis is None:
             return np.asarray(kinks + off.get(KINK, kinks).reshape(-1, 2))
@@ -211,7 +211,7 @@ class SplitPredictor(Predictor):
     def member(self, name: str, i: int, part: Conditions, count: int) -> Move:
         """Return the move of member i of a kind of `around`; the model is set to a point."""
         arrays, own, sides = self.model.arrays, self.around[name], (STEP, -STEP)
-        up, down, axis = np.full(count, STEP), np.full(count, -STEP), planar_axis(self.whole)
+        up, down, axis = np.full(count, STEP), np.full(count, -STEP), self.axis
         if name in (KINK, ACROSS):
             cell, xy = divmod(i, 2) if axis is None else (i, axis if name == KINK else 1 - axis)
             entries = Entries.shifted(arrays.values, (self.rests[xy], cell), sides)
