@@ -60,6 +60,17 @@ def test_one_trial_is_judged_by_what_was_declared():
     assert estimate_noise(replace(dataset, position_noise=None), slopes) is None
 
 
+def test_measurements_without_any_noise_are_as_good_as_they_are_rounded():
+    dataset = measured(ROBOT, trials=1)
+    again = np.repeat(dataset.positions, 9, axis=1)
+    alike = replace(dataset, positions=again, trial_names=(), position_noise=None)
+    for perfect in (replace(dataset, position_noise=0.0), alike):
+        slopes = slopes_of(perfect)
+        noise = estimate_noise(perfect, slopes)
+        assert noise.position == pytest.approx(1e-9)
+        assert np.isfinite(Whitener(perfect, noise, slopes).white(dataset.mean)).all()
+
+
 def test_measured_differences_between_trials_are_no_noise():
     dataset = measured(ROBOT, noise=replace(NOISE, trial=0.02), seed=3)
     quiet = replace(NOISE, trial=0.0, setting=0.0)

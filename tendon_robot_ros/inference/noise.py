@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import RESOLUTION, Floats
 from ..data import DataSet
 from .predict import Point, Predictor, mean_inputs
 from .statistics import chi2_isf, minimum, rms
@@ -316,7 +316,8 @@ def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
     declared = None
     if dataset.position_noise is not None:
         trial, setting = dataset.trial_noise, dataset.setting_noise
-        declared = Noise(dataset.position_noise, trial, setting, np.inf, 'declared')
+        position = max(dataset.position_noise, RESOLUTION)
+        declared = Noise(position, trial, setting, np.inf, 'declared')
     if declared is not None and dataset.visits is not None:
         return declared
     deviations, driven = list[Floats](), list[Floats]()
@@ -411,7 +412,7 @@ class _TrialLikelihood:
         logs = 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
         inverse = np.linalg.inv(root)
         explained = float(((inverse @ (scale * self._products)) * inverse).sum())
-        variance = max((self._total - explained) / self._count, 1e-24)
+        variance = max((self._total - explained) / self._count, RESOLUTION**2)
         return float(self._freedom @ logs) + self._count * math.log(variance), variance
 
     def likeliest(
