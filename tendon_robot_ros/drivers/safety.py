@@ -88,9 +88,9 @@ class StopLatch:
 
     def stop(self, key: str, reason: str, lasting: bool = False) -> None:
         """Latch a stop; while its cause is lasting, `reset` is refused."""
-        self._latched[key] = reason
         if lasting:
             self._lasting.add(key)
+        self._latched[key] = reason  # last, so that `reset` does not clear it as one that ended
 
     def cause_removed(self, key: str) -> None:
         """Note that the cause of a stop is removed; the stop stays latched until `reset`."""
@@ -111,11 +111,12 @@ class StopLatch:
             A cause is still there.
 
         """
+        latched = list(self._latched.items())  # another thread may latch more meanwhile
         if self._lasting:
-            latched = list(self._latched.items())
             reasons = [reason for key, reason in latched if key in self._lasting]
             raise DriverError('reset refused: ' + '; '.join(reasons))
-        self._latched.clear()
+        for key, _ in latched:
+            self._latched.pop(key, None)
 
 
 @dataclass(frozen=True)
