@@ -1,5 +1,6 @@
 """The thread that talks to the motors: it releases before it ends, whatever ends it."""
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -153,6 +154,20 @@ def test_a_command_that_came_with_the_wish_to_let_go_counts_no_more(bus):
     assert bus.driver.written[-1] == pytest.approx([LOW, LOW])
     bus.call(bus.supervisor.resume)
     follow(bus)
+
+
+def test_a_call_that_was_reported_as_failed_is_not_made_later(bus):
+    """A reset during a long search for slack would else undo the stop that came after it."""
+    follow(bus)
+    busy = threading.Event()
+    with pytest.raises(DriverError, match='did not answer'):
+        bus.call(busy.wait, 0.01)
+    with pytest.raises(DriverError, match='did not answer'):
+        bus.call(bus.reset, 0.01)
+    bus.supervisor.latch.stop('stop', 'somebody stopped it')
+    busy.set()
+    bus.call(lambda: None)
+    assert bus.supervisor.latch.reasons == ['somebody stopped it']
 
 
 def test_limp_comes_back_from_the_measured_state(bus):

@@ -81,6 +81,8 @@ class MotorLoop:
         result: Future[T] = Future()
 
         def task() -> None:
+            if not result.set_running_or_notify_cancel():  # the caller was told that it failed
+                return
             try:
                 result.set_result(function())
             except Exception as error:
@@ -90,6 +92,7 @@ class MotorLoop:
         try:
             return result.result(timeout)
         except TimeoutError:
+            result.cancel()
             raise DriverError(f'the motors did not answer within {timeout:g} s') from None
 
     def activate(self) -> None:
@@ -119,7 +122,7 @@ class MotorLoop:
 
         """
         deadline = time.monotonic() + timeout
-        self.call(lambda: self.supervisor.latch.stop(key, reason))
+        self.supervisor.latch.stop(key, reason)
         while time.monotonic() < deadline and self._thread.is_alive():
             if self.supervisor.state in (RELEASED, LIMP, OFF):
                 time.sleep(SETTLED_S)  # motors lag behind the end of the ramp
