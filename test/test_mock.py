@@ -8,7 +8,7 @@ import pytest
 
 from tendon_robot_ros.common.errors import DriverError, InputError
 from tendon_robot_ros.drivers import make_driver
-from tendon_robot_ros.drivers.mock import MockConfig, MockDriver
+from tendon_robot_ros.drivers.mock import FAULTS, MockConfig, MockDriver
 from tendon_robot_ros.robot import load_robot
 
 ROBOTS = Path(__file__).parents[1] / 'config' / 'robots'
@@ -121,6 +121,20 @@ def test_injected_faults_are_read_until_their_cause_is_gone():
     clock.now += 1.0
     driver.clear()
     assert driver.read().tensions == pytest.approx([0.0, 1.0])
+    assert driver.read().faults == ()
+
+
+def test_a_fault_may_end_while_another_thread_reads(monkeypatch):
+    driver, _ = mock()
+    driver.inject('silent', ['left'])
+
+    class Ending(dict):
+        def __getitem__(self, code):
+            driver.clear()
+            return super().__getitem__(code)
+
+    monkeypatch.setattr('tendon_robot_ros.drivers.mock.FAULTS', Ending(FAULTS))
+    assert np.isnan(driver.read().pulls[0])
     assert driver.read().faults == ()
 
 

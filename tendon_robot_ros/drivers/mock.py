@@ -163,11 +163,12 @@ class MockDriver(HardwareDriver):
         self._chosen(inputs)  # refuses unknown ones
         message, hardware, _ = FAULTS[code]
         who = ', '.join(inputs) or 'all motors'
-        self._injected[code] = Fault(code, message.format(who=who), hardware, tuple(inputs))
+        fault = Fault(code, message.format(who=who), hardware, tuple(inputs))
+        self._injected = {**self._injected, code: fault}  # another thread may be reading the old
 
     def clear(self) -> None:
         """Clear all injected faults."""
-        self._injected.clear()
+        self._injected = {}
 
     def describe(self) -> dict[str, str]:
         """Facts for diagnostics."""
