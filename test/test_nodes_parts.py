@@ -27,7 +27,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.common.errors import EffectError, InputError, RobotDescriptionError
+from tendon_robot_ros.common.errors import (
+    DriverError,
+    EffectError,
+    InputError,
+    RobotDescriptionError,
+)
 from tendon_robot_ros.common.rotations import quaternions, towards
 from tendon_robot_ros.control import Refusal, loading
 from tendon_robot_ros.control.inputs import direction
@@ -467,6 +472,23 @@ def test_motors_without_a_configuration_of_theirs_say_what_is_missing(backend, m
     assert re.search(words, str(told.value))
     example = re.search(r'copy (config/\w+\.yaml), put in your motors', str(told.value)).group(1)
     assert (ROOT / example).is_file()
+
+
+@pytest.mark.parametrize(
+    ('content', 'words'),
+    [
+        ({'rate': 0}, 'tracker.rate: expected a finite number from 0.1 to 1000 .Hz., got 0'),
+        ({'rate': 'fast'}, 'tracker.rate: expected a number from'),
+        ({'noise': -1}, 'tracker.noise: expected a finite number from 0'),
+        ({'seed': -3}, 'tracker.seed: expected a finite number from 0'),
+        ({'missing': 2}, 'tracker.missing: expected a finite number from 0 to 1'),
+        ({'speed': 1}, "tracker.speed: expected one of rate, noise, .*got 'speed'"),
+        (30, 'tracker: expected keys with values, got 30'),
+    ],
+)
+def test_an_impossible_tracker_of_the_mock_arm_is_refused(content, words):
+    with pytest.raises(DriverError, match=words):
+        driver_backend.TrackerConfig.checked(content)
 
 
 def test_a_configuration_comes_from_a_name_or_text():

@@ -10,7 +10,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from rclpy.node import Node
@@ -19,6 +19,7 @@ from std_msgs.msg import Float64MultiArray
 
 from ...common.errors import InputError
 from ...common.rotations import towards
+from ...common.yaml_reading import ConfigFields
 from ...drivers import Driver, make_driver
 from ...drivers.interface import BACKENDS
 from ...drivers.mock import MockDriver
@@ -41,6 +42,19 @@ class TrackerConfig:
     missing: float = 0.0  # [1] fraction of markers that is not visible
     lost: float = 0.0  # [1] fraction of frames that is lost
 
+    @classmethod
+    def checked(cls, config: Mapping[str, Any]) -> Self:
+        """Read a mapping; unknown keys and impossible values are refused."""
+        top = ConfigFields('config', 'tracker', config)
+        top.only(*(field.name for field in fields(cls)))
+        return cls(
+            rate=top.value('rate', cls.rate, 0.1, 1000.0, 'Hz'),
+            noise=top.value('noise', cls.noise, 0.0, 10.0, 'm'),
+            seed=top.value('seed', cls.seed, 0.0, 2.0**32 - 1.0, '1'),
+            missing=top.value('missing', cls.missing, 0.0, 1.0, '1'),
+            lost=top.value('lost', cls.lost, 0.0, 1.0, '1'),
+        )
+
 
 class MockTracker:
     """
@@ -52,13 +66,9 @@ class MockTracker:
     def __init__(
         self, node: Node, driver: MockDriver, config: Mapping[str, Any], parameters: Parameters
     ) -> None:
-        """Create publishers and timer; InputError: unknown keys in the configuration."""
-        known = [field.name for field in fields(TrackerConfig)]
-        for key in config:
-            if key not in known:
-                raise InputError(f'config: tracker: expected {", ".join(known)}, got {key!r}')
+        """Create publishers and timer; DriverError: the configuration is refused."""
         self._node, self._driver = node, driver
-        self._config = TrackerConfig(**{key: float(value) for key, value in config.items()})
+        self._config = TrackerConfig.checked(config)
         self._random = np.random.default_rng(int(self._config.seed))
         robot = driver.robot
         self._frame = base_frame(parameters, robot.name)
