@@ -1,6 +1,7 @@
 """The thread that talks to the motors: it releases before it ends, whatever ends it."""
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,20 @@ def test_an_error_beside_the_motors_still_ends_with_a_ramp(bus):
     until(lambda: not bus._thread.is_alive())
     assert isinstance(bus.crashed, ValueError)
     assert bus.driver.written[-1] == pytest.approx([LOW, LOW])
+
+
+@pytest.mark.parametrize(('release_to', 'off'), [('pretension', set()), ('limp', {*ROBOT.inputs})])
+def test_after_a_ramp_for_an_error_torque_goes_off_where_a_release_ends_so(bus, release_to, off):
+    bus.supervisor.rules = replace(bus.supervisor.rules, release_to=release_to)
+    follow(bus)
+
+    def fail(cycle):
+        raise ValueError('nobody foresaw this')
+
+    bus._report = fail
+    until(lambda: not bus._thread.is_alive())
+    assert bus.driver.written[-1].max() < COMMAND.min()
+    assert {name for names in bus.driver.switched_off for name in names} == off
 
 
 def test_when_even_writing_fails_torque_goes_off(bus):

@@ -212,6 +212,7 @@ class MotorLoop:
             self.supervisor.latch.stop('crash', f'the driver process failed: {self.crashed}')
             for _ in range(round(CALL_TIMEOUT_S / self._period)):
                 decision = self.supervisor.step(time.monotonic(), None, self.driver.read())
+                self._torque(decision)
                 if decision.state not in (OFF, LIMP):
                     self._write(decision)
                 if decision.state in (OFF, LIMP, RELEASED):
