@@ -110,6 +110,21 @@ def test_after_a_ramp_for_an_error_torque_goes_off_where_a_release_ends_so(bus, 
     assert {name for names in bus.driver.switched_off for name in names} == off
 
 
+def test_the_port_is_not_closed_before_the_ramp_for_an_error_has_ended(bus):
+    slow = replace(bus.supervisor.rules, stop_time=3.0, release_rate=0.1)
+    bus.supervisor.rules = slow
+    follow(bus)
+
+    def fail(cycle):
+        raise ValueError('nobody foresaw this')
+
+    bus._report = fail
+    until(lambda: bus.crashed)
+    bus.close()
+    assert bus.driver.written[-1] == pytest.approx([LOW, LOW])
+    assert bus.driver.switched_off == []
+
+
 def test_when_even_writing_fails_torque_goes_off(bus):
     follow(bus)
     bus.driver.broken = True

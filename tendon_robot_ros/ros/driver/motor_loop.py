@@ -134,7 +134,7 @@ class MotorLoop:
         """End the thread, then close the driver."""
         self._ending.set()
         if self._thread.is_alive():
-            self._thread.join(timeout=2.0)
+            self._thread.join(timeout=2.0 * CALL_TIMEOUT_S)  # a rescue is to end its ramp
         self.driver.close()
 
     def _enable(self) -> None:
