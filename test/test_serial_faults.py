@@ -193,6 +193,22 @@ def test_a_board_that_lost_its_power_stays_off_until_it_is_enabled_again(arm):
     until(driver, command, healthy)
 
 
+def test_a_board_that_lost_its_power_counts_pulls_from_where_the_wires_are():
+    """Else the next command would wind what the board had counted before the driver began."""
+    with emulated_board.board(slack=0.02) as line:
+        line.rig.places += 0.008
+        driver, command = emulated_board.running(line, 'pull', zero='here')
+        np.testing.assert_allclose(driver.zero, 0.008, atol=1e-4)
+        line.restart()
+        until(driver, command, lambda r: codes(r) == {'restarted'})
+        at = line.rig.places.copy()
+        driver.enable()
+        np.testing.assert_allclose(driver.read().pulls, 0.0, atol=1e-4)
+        emulated.cycle(driver, np.zeros(4), 0.5)
+        np.testing.assert_allclose(line.rig.places, at, atol=5e-4)
+        driver.close()
+
+
 @pytest.mark.slow
 def test_torque_switched_off_while_the_port_was_gone_stays_off(arm):
     driver, line, command = arm

@@ -78,6 +78,7 @@ class SerialDriver(PortDriver):
         return not bool(np.isfinite(self.zero).all())
 
     def _torque_on(self) -> None:
+        self._zero_in_place()
         self.link.give_limits(self.config, np.nan_to_num(self.zero))
         self.switch_on(self.mode)
         self.torque_requested[:], self.restarted[:] = True, False
@@ -236,10 +237,10 @@ class SerialDriver(PortDriver):
                 self.telemetry = None
             return
         if not newest.flags & BoardFlag.CONFIGURED:
-            # it had no power: send its configuration again; its motors stay off
+            # it had no power, and counts wire from a new zero: send its configuration again; its
+            # motors stay off
             self.restarted |= self.torque_requested
-            if self.config.zero == 'find':
-                self.zero[:] = np.nan
+            self.zero[:] = np.nan
             self.link.configure(self.config, np.nan_to_num(self.zero))
             newest = self._receive(ANSWER_TIMEOUT_S) or newest
         enabled = np.array([newest.enabled >> i & 1 for i in self.config.places], dtype=bool)
