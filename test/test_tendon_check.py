@@ -13,7 +13,7 @@ import yaml
 from emulated_board import needs_compiler
 
 from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.common.errors import InputError, TendonRobotError
+from tendon_robot_ros.common.errors import DriverError, InputError, TendonRobotError
 from tendon_robot_ros.drivers import tendon_check
 from tendon_robot_ros.drivers.mock import MockConfig, MockDriver
 from tendon_robot_ros.drivers.tendon_check import (
@@ -98,6 +98,18 @@ def test_whoever_ends_it_the_tendons_are_let_go_and_not_dropped(driver, monkeypa
     assert sum(commands[-1] < command < 1.0 for command in commands[-5:]) > 2  # a ramp
     assert not driver._on.any()
     assert signal.getsignal(number) == before
+
+
+def test_tendons_that_do_not_come_to_rest_are_let_go_and_not_dropped(driver, monkeypatch):
+    monkeypatch.setattr(tendon_check, 'STILL_TIMEOUT_S', 0.3)
+    monkeypatch.setattr(tendon_check, 'STILL_TOLERANCE_M', 0.0)
+    commands, write = [], driver.write
+    monkeypatch.setattr(driver, 'write', lambda c: (commands.append(max(c)), write(c)))
+    with pytest.raises(DriverError, match='do not come to rest at 1 N'):
+        measure_reference(driver, 1.0)
+    assert commands[-1] == driver.limits[0, 0]
+    assert sum(commands[-1] < command < 1.0 for command in commands[-10:]) > 2  # a ramp
+    assert not driver._on.any()
 
 
 def test_what_all_tendons_do_is_no_creep_of_one():

@@ -72,7 +72,7 @@ def measure_reference(driver: Driver, tension: float) -> TendonReference:
     Raises
     ------
     DriverError
-        A fault, or the arm does not come to rest.
+        A fault; or the arm does not come to rest, and the tendons have been released.
     KeyboardInterrupt
         A signal requested the end: the tendons have been released.
 
@@ -93,7 +93,7 @@ def measure_reference(driver: Driver, tension: float) -> TendonReference:
             try:
                 arm.ramp(goal, RAMP_S)
                 pulls, tensions = arm.still()
-            except KeyboardInterrupt:
+            except (DriverError, KeyboardInterrupt):
                 arm.check = lambda: None
                 arm.ramp(low, STOP_S)
                 raise
