@@ -105,9 +105,26 @@ def test_silent_joints_are_named_and_torque_is_refused():
         made.enable()
 
 
+@pytest.mark.parametrize(('mode', 'what'), [('tension', 'effort'), ('pull', 'position')])
+def test_joints_without_a_state_of_the_mode_are_refused(monkeypatch, mode, what):
+    made = driver(mode)
+    monkeypatch.setattr(
+        made.link, 'states', lambda: {n: (time.monotonic(), np.nan, np.nan) for n in JOINTS}
+    )
+    with pytest.raises(DriverError, match=f'{what} is not there: .* in {mode} mode'):
+        made.enable()
+
+
 @pytest.mark.parametrize(
     ('changes', 'message'),
     [
+        (
+            {
+                'joints': ['motor_1'] * 4,
+                'tendons': {name: {'joint': 'motor_1'} for name in INPUTS},
+            },
+            "tendons: expected names that differ, got 'motor_1'",
+        ),
         ({'joints': ['motor_1']}, 'joints: expected the joints of the tendons, motor_1, motor_2'),
         ({'tendons': {'prox_left': {'joint': 'a'}}}, 'none for prox_right, dist_left, dist_right'),
         ({'spool_radius': 10}, 'spool_radius: expected a finite number from 0.0005 to 0.2 [m]'),

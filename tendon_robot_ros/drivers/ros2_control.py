@@ -67,6 +67,7 @@ class Ros2ControlConfig:
                 )
             )
         names, joints = [tendon.joint for tendon in tendons], top.content.get('joints')
+        top.unique('tendons', names)
         if not isinstance(joints, list) or sorted(map(str, joints)) != sorted(names):
             expected = f'the joints of the tendons, {", ".join(names)}, as the controller has them'
             raise top.error('joints', expected, joints)
@@ -144,9 +145,10 @@ class Ros2ControlDriver(hardware.HardwareDriver):
             raise DriverError(reading.faults[0].message)
         measured = reading.tensions if self.mode == 'tension' else reading.pulls
         if not np.isfinite(measured).all():
+            what = 'effort' if self.mode == 'tension' else 'position'
             raise DriverError(
-                f'{self.config.state_topic}: effort is not there: expected it for every joint in '
-                'tension mode'
+                f'{self.config.state_topic}: {what} is not there: expected it for every joint in '
+                f'{self.mode} mode'
             )
         self._goal = np.maximum(measured, 0.0) if self.mode == 'tension' else measured
         self._on[:], self._written = True, time.monotonic()
