@@ -129,7 +129,11 @@ static void tension_loop(const struct board *board, struct channel *channel, flo
 
 static void drive(const struct board *board, struct channel *channel, float passed)
 {
-    float wanted;
+    float wanted, low = channel->pull_low, high = channel->pull_high;
+    if (channel->place < low) /* a wire that is outside comes back at its rate, without a jump */
+        low = channel->place;
+    if (channel->place > high)
+        high = channel->place;
     if (board->flags & (FLAG_SILENCE | FLAG_RELEASED)) {
         channel->goal = approach(channel->goal, board->rest, board->release_rate * passed);
         tension_loop(board, channel, passed);
@@ -144,7 +148,7 @@ static void drive(const struct board *board, struct channel *channel, float pass
         channel->place = approach(channel->place, wanted, channel->pull_rate * passed);
     }
     channel->place = bounded(channel->place, channel->pull - LEAD, channel->pull + LEAD);
-    channel->place = bounded(channel->place, channel->pull_low, channel->pull_high);
+    channel->place = bounded(channel->place, low, high);
     float error = channel->place - channel->pull;
     channel->extra = bounded(channel->extra + EXTRA_GAIN * error * passed, -LARGEST_EXTRA,
                              LARGEST_EXTRA);

@@ -180,6 +180,20 @@ def test_no_command_passes_a_limit(board):
     assert tensions[3] < 0.1
 
 
+def test_a_wire_outside_its_limits_comes_back_at_its_rate(board):
+    board.configure()
+    board.rig.places[:] = -0.04, -0.03, 0.0, -0.025
+    board.wait(0.05)
+    before = board.rig.places.copy()
+    assert board.say(Message.ENABLE, b'\x01\x0f') == 0
+    for _ in range(10):
+        board.command(0.0, 0.0, 0.0, 0.0, mode='pull')
+        board.rig.advance(0.01)
+    moved = np.abs(board.rig.places - before)
+    assert np.all(moved < 0.1 * 0.05 + 1e-3)
+    assert np.all(moved[[0, 1, 3]] > 1e-3)
+
+
 @pytest.mark.parametrize(
     ('kind', 'payload', 'code'),
     [
