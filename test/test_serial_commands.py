@@ -150,6 +150,8 @@ WRONG = [
     ({'speed': 1}, "speed: expected one of port, baudrate, .*got 'speed'"),
     ({'calibration': {}}, 'calibration: .*none for east: type motors calibrate serial'),
     ({'tendons': {'east': {'channel': 0}}}, 'tendons: .*none for north, west, south'),
+    ({'ticks_per_turn': 2e6}, 'ticks_per_turn: expected whole nanometres .*, got .*31.4 nm'),
+    ({'ticks_per_turn': 1e7, 'spool_radius': 5e-4}, 'ticks_per_turn: .*got .*0.314 nm'),
     ({'pull_limits': [0.1, 0.0]}, 'pull_limits: expected .lowest, highest.'),
 ]
 

@@ -115,6 +115,9 @@ def cell_mapping(cell: Cell, points: Sequence[CountsPoint]) -> dict[str, Any]:
 
 # keys of a channel that hold for all channels where they stand at the top of the file
 COMMON_KEYS = ('spool_radius', 'ticks_per_turn', 'pull_limits')
+# [1] of a tick, which the protocol has in whole nanometres: else pulls would be wrong by more than
+# a spool radius is known
+ROUNDING_MAX = 0.01
 TENDON_KEYS = ('channel', 'direction', 'tension_limit', *COMMON_KEYS)
 
 
@@ -153,6 +156,10 @@ def read_wires(
             )
         cell = read_cell(cells.child(name)) if cells.has(name) else None
         spool = hardware.Spool(radius, direction, ticks_per_turn)
+        nanometres = 1e9 * spool.metres_per_tick
+        if abs(round(nanometres) / nanometres - 1.0) > ROUNDING_MAX:
+            expected = f'whole nanometres of wire per tick, to {ROUNDING_MAX:.0%}'
+            raise counted.error('ticks_per_turn', expected, f'{abs(nanometres):.3g} nm')
         wires.append(ChannelWire(name, spool, **limits, rate=rate, channel=channel, cell=cell))
     channels = [wire.channel for wire in wires]
     for wire in wires:
