@@ -193,6 +193,7 @@ def test_a_board_that_lost_its_power_stays_off_until_it_is_enabled_again(arm):
     until(driver, command, healthy)
 
 
+@pytest.mark.filterwarnings('error::RuntimeWarning')
 def test_a_board_that_lost_its_power_counts_pulls_from_where_the_wires_are():
     """Else the next command would wind what the board had counted before the driver began."""
     with emulated_board.board(slack=0.02) as line:
@@ -201,6 +202,7 @@ def test_a_board_that_lost_its_power_counts_pulls_from_where_the_wires_are():
         np.testing.assert_allclose(driver.zero, 0.008, atol=1e-4)
         line.restart()
         until(driver, command, lambda r: codes(r) == {'restarted'})
+        emulated.cycle(driver, command, 0.1)
         at = line.rig.places.copy()
         driver.enable()
         np.testing.assert_allclose(driver.read().pulls, 0.0, atol=1e-4)

@@ -147,7 +147,7 @@ class SerialDriver(PortDriver):
     def command(self, mode: str, goal: Floats) -> None:
         """Send one command, shape (m,) [N] or [m], to all channels in one frame."""
         values = np.zeros(self.link.channels)
-        values[self.config.places] = goal if mode == 'tension' else goal + self.zero
+        values[self.config.places] = goal if mode == 'tension' else goal + np.nan_to_num(self.zero)
         self.link.send(Message.COMMAND, messages.command(mode, values))
 
     def _reopen(self) -> bool:
