@@ -15,7 +15,7 @@ from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.versions import Preparation
 from tendon_robot_ros.simulation.hidden import Built
-from tendon_robot_ros.studies import judge
+from tendon_robot_ros.studies import campaign, judge
 from tendon_robot_ros.studies.campaign import robot_rows, summary
 from tendon_robot_ros.studies.cases import (
     Case,
@@ -311,3 +311,21 @@ def test_the_command_writes_table_and_page_and_goes_on(tmp_path, capsys, monkeyp
     assert 'Which size of an effect is seen' in (tmp_path / 'out' / 'campaign.html').read_text()
     assert main([*call, '--dry-run']) == 0
     assert '2 cases, 2 of them are there' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('more', [['--dry-run'], []])
+def test_counting_or_stopping_before_the_first_case_leaves_an_empty_folder_empty(
+    more, tmp_path, capsys, monkeypatch
+):
+    (tmp_path / 'plan.yaml').write_text(yaml.safe_dump(CHEAP))
+    out = tmp_path / 'out'
+    out.mkdir()
+
+    def stop(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(campaign, 'Workers', stop)
+    main(['study', 'campaign', str(tmp_path / 'plan.yaml'), '--output', str(out), *more])
+    printed = capsys.readouterr()
+    assert ', 0 of them are there' in printed.out or 'stopped: 0 of ' in printed.err
+    assert not any(out.iterdir()), 'else the same command would refuse it'

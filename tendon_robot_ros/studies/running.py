@@ -135,7 +135,6 @@ class GrowingTable[R: Row]:
     def __init__(self, folder: Path, kind: type[R]) -> None:
         self.folder, self.kind, self.arrow = folder, kind, arrow()
         self.schema = self.arrow.schema(list(self.columns()))
-        folder.mkdir(parents=True, exist_ok=True)
 
     def columns(self) -> Iterator[Any]:
         """Yield the fields of the schema."""
@@ -214,6 +213,7 @@ class GrowingTable[R: Row]:
 
     def _write(self, content: Any) -> None:
         """Write a file that sorts behind all others."""
+        self.folder.mkdir(parents=True, exist_ok=True)
         numbers = [path.stem.removeprefix('rows-') for path in self.files()]
         number = 1 + max((int(text) for text in numbers if text.isdigit()), default=0)
         with new_file(self.folder / f'rows-{number:06d}.parquet') as draft:
