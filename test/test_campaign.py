@@ -247,6 +247,12 @@ def test_coverage_of_normal_errors_is_nominal():
         assert low - 0.01 < nominal < high + 0.01
 
 
+def test_a_true_value_at_the_end_of_its_interval_lies_in_it():
+    at_the_bound = replace(row(truth=0.2), value=(0.2,), low=(0.2,), high=(0.4,))
+    assert at_the_bound.held == [True]
+    assert {rate.share for _, rate in coverage([at_the_bound])} == {1.0}
+
+
 def test_rates_are_told_of_every_robot_and_of_all_that_is_hidden():
     made = [row(right=number < 3, number=number) for number in range(4)]
     made += [replace(one, robot='other', right=True, truth=(9.0,)) for one in made[:2]]

@@ -343,7 +343,7 @@ def coverage(rows: Sequence[CaseRow]) -> list[tuple[float, Rate]]:
     for row in rows:
         for true, value, low, high in zip(row.truth, row.value, row.low, row.high, strict=True):
             half = (high - value) if true > value else (value - low)
-            z.append(abs(true - value) / half if half > 0.0 else float(true != value) * np.inf)
+            z.append(abs(true - value) / half if half > 0.0 else np.inf if true != value else 0.0)
     full = normal_ppf(0.975)
     limits = [(nominal, normal_ppf(0.5 + 0.5 * nominal) / full) for nominal in NOMINAL]
     return [(nominal, Rate.of(one <= limit for one in z)) for nominal, limit in limits]
