@@ -11,6 +11,7 @@ from source_tree import ROOT
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError, InputError, NoEquilibriumError
 from tendon_robot_ros.common.workers import Workers
+from tendon_robot_ros.data import Marker
 from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.versions import Preparation
@@ -40,6 +41,7 @@ from tendon_robot_ros.studies.plan import earlier_rows, read_plan, run_plan
 from tendon_robot_ros.studies.running import ERROR, GrowingTable
 
 pytest.importorskip('pyarrow')
+MARKERS = (Marker('1', 0.04), Marker('2', 0.1))
 
 
 @pytest.fixture(scope='module')
@@ -101,6 +103,20 @@ def test_a_case_that_fails_is_counted_and_others_go_on(rows, tmp_path, monkeypat
     assert counted['cases that ended in an error'] == Rate(1, 4)
     assert counted['right, of all effects'] == Rate(1, 2)
     assert f'1 x {told}' in summary([failed, *found])
+
+
+@pytest.mark.parametrize(
+    'change', [{'path': 'sequence'}, {'markers': (Marker('1', 0.05), Marker('2', 0.1))}]
+)
+def test_measurements_that_are_taken_otherwise_are_another_design(change):
+    made = plan(designs=[{'data': str(ROOT / 'data' / 'hinge_friction' / 'fit')}])
+    (design,) = made.setup.designs
+    data = replace(design.data, positions=design.data.positions[:, :, :2], markers=MARKERS)
+    before, after = (
+        replace(made, setup=replace(made.setup, designs=(replace(design, data=one),)))
+        for one in (data, replace(data, **change))
+    )
+    assert before.contents['design 1'] != after.contents['design 1']
 
 
 @pytest.mark.long

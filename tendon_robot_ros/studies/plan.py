@@ -94,9 +94,12 @@ class CampaignPlan:
         for arm in setup.arms:
             digests[f'robot {arm.name}'] = _digest(dump_robot(arm.robot), arm.down)
         for i, one in enumerate(setup.designs):
-            measured = () if one.data is None else (one.data.inputs, one.data.trials)
-            counts, data = (one.postures, one.trials, one.markers), [m.tobytes() for m in measured]
-            digests[f'design {i + 1}'] = _digest(one.name, *counts, *data)
+            counts, data = (one.postures, one.trials, one.markers), one.data
+            measured: list[object] = []
+            if data is not None:
+                arrays = data.inputs.tobytes(), data.trials.tobytes()
+                measured = [*arrays, data.markers, data.input, data.path]
+            digests[f'design {i + 1}'] = _digest(one.name, *counts, *measured)
         for i, (name, noise) in enumerate(setup.noises):
             digests[f'noise {i + 1}'] = _digest(name, noise)
         return digests
