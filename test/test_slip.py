@@ -36,6 +36,12 @@ def test_an_outlier_is_named_and_stays():
     assert found.mean_without == pytest.approx(0.32)
 
 
+def test_an_outlier_among_angles_that_are_alike_is_named():
+    found = SlipFriction(tuple('abcdef'), np.radians([18, 18, 18, 18, 19, 45]))
+    assert found.outliers == ('f',)
+    assert SlipFriction(tuple('abc'), np.radians([18, 18, 18])).outliers == ()
+
+
 def test_fewer_than_three_measurements_are_refused():
     with pytest.raises(InputError, match='expected at least 3, got 2; measure more'):
         SlipFriction(('a', 'b'), [0.3, 0.3])
