@@ -236,6 +236,10 @@ def test_own_postures_and_gravity(tmp_path, capsys):
             "hidden gravity: expected NAME=VALUE, got 'linear_density'",
         ),
         (['--hidden', 'tip_load:force_x=a'], "tip_load: force_x: expected numbers, got 'a'"),
+        (
+            ['--hidden', 'soft_cell:cell=3', 'soft_cell:cell=7'],
+            '--hidden: expected each effect once, got soft_cell:cell=3, soft_cell:cell=7',
+        ),
         (['--noise', 'tracker=1'], "--noise: expected position, setting, trial, got 'tracker'"),
         (
             ['--noise', 'position=1000'],

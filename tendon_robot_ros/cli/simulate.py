@@ -16,6 +16,7 @@ example: python -m tendon_robot_ros simulate kato_10_1_single --output rehearsal
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -89,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     robot = load_robot(args.robot)
     if gravity := vector('--gravity', args.gravity or None):
         robot = replace(robot, gravity=(gravity[0], gravity[1], gravity[2]))
-    hidden = dict(map(hidden_effect, args.hidden))
+    hidden = hidden_effects(args.hidden)
     if 'gravity' in hidden and robot.gravity is None:
         raise InputError(
             'hidden gravity: ROBOT does not say where down is; give --gravity 0,0,9.81'
@@ -190,6 +191,14 @@ def _default_postures(args: argparse.Namespace, robot: Robot, which: int) -> Flo
     if is_number(args.postures):
         count = whole('--postures', int(args.postures), 1)
     return default_postures(robot, max(count // (1 + which), 1), which, args.input, args.path)
+
+
+def hidden_effects(texts: Sequence[str]) -> dict[str, dict[str, float | tuple[float, ...]]]:
+    """Read what is hidden, each once."""
+    hidden = dict(map(hidden_effect, texts))
+    if len(hidden) < len(texts):
+        raise InputError(f'--hidden: expected each effect once, got {", ".join(texts)}')
+    return hidden
 
 
 def hidden_effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]:

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from ..cli.options import declare
-from ..cli.simulate import hidden_effect, simulated_noise
+from ..cli.simulate import hidden_effects, simulated_noise
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
 from ..common.results import emit, narrate
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     robot, catalogue = load_robot(args.robot), load_catalogue(args.effect_file)
     goal = goal_of(args, tuple(args.effect_file))
     regions = load_keep_out(args.keep_out) if args.keep_out else KeepOut()
-    hidden = dict(map(hidden_effect, args.hidden))
+    hidden = hidden_effects(args.hidden)
     work = Workmanship().times(args.level)
     plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=work)
     arm = SimulatedArm(
