@@ -11,8 +11,10 @@ import simulated
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data import save_dataset
 from tendon_robot_ros.diagnosis.verdict import Verdict
+from tendon_robot_ros.model.versions import UserEffect
 from tendon_robot_ros.studies import fleet
 from tendon_robot_ros.studies.fleet import (
+    FleetCase,
     FleetRow,
     changes,
     datasets_below,
@@ -78,6 +80,31 @@ def test_when_something_was_measured(tmp_path):
     (other / 'metadata.yaml').write_text('[]')
     os.utime(other / 'metadata.yaml', (60.0, 60.0))
     assert when_of(other) == ('1970-01-01T00:01+00:00', 'file')
+
+
+def test_a_folder_above_all_measurements_dates_none(tmp_path):
+    folder = tmp_path / 'saved_20240131' / 'in'
+    bag = folder / 'bag'
+    bag.mkdir(parents=True)
+    (bag / 'metadata.yaml').write_text(
+        'rosbag2_bagfile_information: {starting_time: {nanoseconds_since_epoch: 86400000000000}}'
+    )
+    row = FleetCase.of(bag, folder).refused('')
+    assert (row.when, row.dated_by) == ('1970-01-02T00:00+00:00', 'recording')
+
+
+def test_another_effect_or_description_elsewhere_is_another_case(tmp_path):
+    place = tmp_path / 'in' / 'run'
+    save_dataset(simulated.measured(ROBOT, count=3, trials=2), place)
+    before = FleetCase.of(place, tmp_path)
+    assert FleetCase.of(place, tmp_path, [UserEffect('mine.py', '')]).key != before.key
+    (place / 'robot.yaml').rename(tmp_path / 'arm.yaml')
+    content = (place / 'dataset.yaml').read_text()
+    (place / 'dataset.yaml').write_text(content.replace('robot.yaml', '../../arm.yaml'))
+    before = FleetCase.of(place, tmp_path)
+    assert FleetCase.of(place, tmp_path) == before
+    os.utime(tmp_path / 'arm.yaml', (60.0, 60.0))
+    assert FleetCase.of(place, tmp_path).key != before.key
 
 
 def test_the_command_diagnoses_what_is_new_and_names_what_cannot_be_read(tmp_path, capsys):

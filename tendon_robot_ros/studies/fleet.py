@@ -16,6 +16,7 @@ import hashlib
 import itertools
 import re
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, date, datetime
 from html import escape
@@ -32,6 +33,7 @@ from ..common.workers import Workers
 from ..common.yaml_reading import parse_yaml
 from ..data import DataSet, load_dataset
 from ..data.bag_reader import is_bag
+from ..data.folder import described_robot
 from ..data.loading import import_bag
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding
@@ -64,8 +66,9 @@ def run(args: argparse.Namespace) -> int:
     """Diagnose what is new, print, write."""
     folder, output = Path(args.folder), Path(args.output)
     places, inside = datasets_below(folder), output.resolve()
-    cases = [FleetCase.of(p, folder) for p in places if inside not in p.resolve().parents]
     study = Fleet(question='fleet', effects=UserEffect.read(args.effect_file))
+    below = [place for place in places if inside not in place.resolve().parents]
+    cases = [FleetCase.of(place, folder, study.effects) for place in below]
     prepare = Preparation.of_this_process(study.effects)
     with Workers(args.workers, args.cluster, prepare) as workers, progress(True) as show:
         table = GrowingTable(output / TABLE, FleetRow)
@@ -110,20 +113,24 @@ class FleetCase:
 
     path: Path  # absolute
     place: str  # below the folder of all
-    key: str  # its place, and a digest of size and time of its files
+    key: str  # its place, and a digest of the user's effects and of size and time of its files
 
     @classmethod
-    def of(cls, path: Path, folder: Path) -> FleetCase:
+    def of(cls, path: Path, folder: Path, effects: Sequence[UserEffect] = ()) -> FleetCase:
         """Return the case of a path below a folder."""
         files = sorted(path.rglob('*')) if path.is_dir() else [path]
-        stamps = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]
+        with suppress(TendonRobotError):  # a recording, or what cannot be read
+            robot = Path(described_robot(path).source)  # it may lie elsewhere
+            files += [robot] if robot not in files else []
+        stamps: list[object] = [*effects]
+        stamps += [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]
         digest = hashlib.sha256(repr(stamps).encode()).hexdigest()[:12]
         place = str(path.relative_to(folder))
         return cls(path.resolve(), place, f'{place}:{digest}')
 
     def row(self, **told: Any) -> FleetRow:
         """Return the row of this case with the given fields."""
-        when, dated_by = when_of(self.path)
+        when, dated_by = when_of(self.path, 1 + len(Path(self.place).parts))
         return FleetRow(key=self.key, place=self.place, when=when, dated_by=dated_by, **told)
 
     def refused(self, problem: str) -> FleetRow:
@@ -194,9 +201,13 @@ def datasets_below(folder: Path) -> list[Path]:
     return sorted(places)
 
 
-def when_of(path: Path) -> tuple[str, str]:
-    """Return the time of a measurement, and its source: the name, the recording, or the file."""
-    for part in reversed(path.parts):
+def when_of(path: Path, count: int = 1) -> tuple[str, str]:
+    """
+    Return the time of a measurement, and its source: the name, the recording, or the file.
+
+    `count` parts of its path are its name, so that a folder far above dates nothing.
+    """
+    for part in reversed(path.parts[-count:]):
         for year, month, day in DATED.findall(part):
             try:
                 return date(int(year), int(month), int(day)).isoformat(), 'name'
