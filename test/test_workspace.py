@@ -12,7 +12,7 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.common.workers import Workers
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.robot import dump_robot
+from tendon_robot_ros.robot import dump_robot, load_robot
 from tendon_robot_ros.workspace.cubes import SPHERE_PART_COUNT, Cubes, Reached, folds
 from tendon_robot_ros.workspace.view_angle import Workspace, pairs_of
 from tendon_robot_ros.workspace.volume import Sampling, Volume
@@ -258,6 +258,11 @@ def test_friction_takes_places_and_adds_others():
     assert_allclose(looking, 1.0, atol=np.radians(2.5))
     heights = view.tips[:, 2]
     assert np.ptp(heights) < 0.25 * volume.robot.length  # a ring
+
+
+def test_where_no_posture_without_friction_is_left_there_is_nothing_to_compare():
+    volume = Volume(Sampling.of(Model(load_robot('kato_10_1_single')), 1))  # it folds without
+    assert (len(volume.reached), volume.frictionless, volume.taken) == (1, None, None)
 
 
 @pytest.mark.filterwarnings('error')

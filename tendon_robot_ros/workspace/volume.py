@@ -335,7 +335,7 @@ class Volume:
         Postures without equilibrium, and those in which the arm collides with itself.
     reached : Reached
     frictionless : Reached or None
-        The same without friction; None where the model has none.
+        The same without friction; None where the model has none, or no posture is left.
     taken, given : float or None [1]
         Fraction of the places without friction that are not near one with it, and of the places
         with friction that are not near one without it.
@@ -391,8 +391,8 @@ class Volume:
         self.sphere = float(tally.sphere.mean())
         self.views = dict(zip(sampling.views, map(Reached, tally.views), strict=True))
         self.frictionless = self.taken = self.given = None
-        if len(streams) > 1:
-            other = self.frictionless = Reached(streams[1].tally.all)
+        if len(streams) > 1 and len(other := Reached(streams[1].tally.all)):
+            self.frictionless = other
             self.taken = float(beyond(other.cells, self.reached.cells).mean())
             self.given = float(beyond(self.reached.cells, other.cells).mean())
 
