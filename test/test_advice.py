@@ -264,7 +264,11 @@ RECORDINGS = {
         ('export bag run new', None), ('import bag new --output imported', None)]),
     'all at rest': ({}, [
         ('import bag bag --output new --robot small.yaml --rest 5N', 'lower what counts as rest'),
+        ('import bag bag --output new --robot small.yaml --rest 0.5mm', 'one of N, .*, got .mm.'),
         ('import bag bag --output new --robot small.yaml --rest 0.5N', None)]),
+    'a posture wider in another unit': ({}, [
+        ('import bag bag --output new --robot small.yaml --same 2mm', 'one of N, .*, got .mm.'),
+        ('import bag bag --output new --robot small.yaml --same 0.05N', None)]),
     'in the frame of a tracker': ({'frame': 'camera'}, [
         ('compare bag --model small.yaml', 'take it in with `import bag`, .*--frame base'),
         ('import bag bag --output new --robot small.yaml --frame base', None)]),

@@ -118,6 +118,7 @@ class ImportBag:
                 rest,
                 in_tracker_frame=True,
             )
+            options.refuse_other_size(args, imported.dataset.input)
             for line in imported.left_out:
                 print('left out:', line, file=sys.stderr)
             show('looking at the frame', 1, 2)
@@ -215,6 +216,7 @@ class ImportTable:
         catalogue = load_catalogue(args.effect_file)
         with progress() as show:
             imported = import_table(args.raw, robot, recipe, catalogue, show)
+        options.refuse_other_size(args, imported.dataset.input)
         text, folder = imported.text(), imported.save(args.output, args.overwrite)
         content = sizes(imported.dataset, folder) | {
             key: list(getattr(imported, key)) for key in ('assumed', 'dropped', 'look')

@@ -173,6 +173,14 @@ def input_size(option: str, text: str | None) -> float | None:
     return None if text is None else read_quantity(option, text, 'N', 'force', 'length')
 
 
+def refuse_other_size(args: argparse.Namespace, input: str) -> None:
+    """Raise InputError where --same or --rest is a tension and inputs are lengths, or reverse."""
+    kind = 'force' if input == 'tension' else 'length'
+    for option, text in (('--same', args.same), ('--rest', args.rest)):
+        if input_size(option, text):  # zero is the same in both
+            read_quantity(option, text, 'N', kind)
+
+
 def position(option: str, text: str | None, unit: str, reach: float) -> list[float] | None:
     """
     Read the position x,y,z of a tip, in metres.
