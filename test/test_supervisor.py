@@ -10,7 +10,13 @@ from hypothesis import strategies as st
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import Fault, Reading
-from tendon_robot_ros.drivers.safety import CYCLE_MAX_S, SafetyRules, Supervisor, approach
+from tendon_robot_ros.drivers.safety import (
+    CYCLE_MAX_S,
+    SafetyRules,
+    StopLatch,
+    Supervisor,
+    approach,
+)
 
 INPUTS = ('left', 'right')
 LOW, HIGH, RATE, RELEASE = 0.1, 5.0, 8.0, 4.0
@@ -212,6 +218,22 @@ def test_release_to_limp_switches_torque_off_at_the_end_only():
     decision = supervisor.step(now + CYCLE, np.array([1.0, 1.0]), reading())
     assert decision.state == 'following'
     assert decision.off == ()
+
+
+@pytest.mark.parametrize('lasting', [False, True])
+def test_a_stop_of_another_thread_during_a_reset_is_kept(lasting):
+    latch = StopLatch()
+    latch.stop('button', 'stop was called')
+
+    class Lasting(set):
+        def __bool__(self):  # asked in the middle of the reset
+            latch.stop('topic', 'topic stop says true', lasting)
+            return len(self) > 0
+
+    latch._lasting = Lasting()
+    with pytest.raises(DriverError) if lasting else contextlib.nullcontext():
+        latch.reset()
+    assert 'topic' in latch.keys
 
 
 def test_a_stop_latches_and_reset_waits_for_a_new_command():
