@@ -82,10 +82,12 @@ def race(
             and score(i) - GAINS_TO_COME * descents[i].gain <= limit
         ]
         for i in racing:
-            if i not in left:
-                with suppress(*FAILURES):
-                    fits |= {i: descents[i].fit()} if i in descents else {}
-                done()
+            if i in left:
+                continue
+            with suppress(*FAILURES):
+                if i in descents:
+                    fits[i] = descents[i].fit()
+            done()
         racing = left
     return [(candidates[i], fits[i]) for i in sorted(fits)]
 
