@@ -110,7 +110,8 @@ def hide(
             _refuse_unknown(name, values, known)
             CAUSES[name](damage, **{key: _one(name, key, v) for key, v in values.items()})
             if not (np.all(damage.stiffness > 0.0) and abs(damage.gain) < 1.0):
-                raise EffectError(f'{name}: expected a size that leaves stiffness and tensions')
+                expected = 'expected a size that leaves stiffness and tensions'
+                raise EffectError(f'{name}: {expected}, got {dict(values)}')
         elif name in catalogue:
             effects[name] = chosen(catalogue[name], values, robot)
         else:
