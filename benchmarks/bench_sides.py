@@ -18,7 +18,7 @@ import numpy as np
 from machine import tell
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))
-from friction_rig import BENDS, SIDES, SPRINGS, from_sides
+from friction_rig import BENDS, MORE_SIDES, SIDES, SPRINGS, from_sides
 
 
 def main() -> None:
@@ -30,7 +30,11 @@ def main() -> None:
     parser.add_argument('--json', type=Path)
     options = parser.parse_args()
     results = {}
-    for arm, memory, wires, pull, built in (*SIDES, ('spatial', BENDS, SPRINGS, False, True)):
+    for arm, memory, wires, pull, built in (
+        *SIDES,
+        *MORE_SIDES,
+        ('spatial', BENDS, SPRINGS, False, True),
+    ):
         runs = [
             from_sides(arm, memory, wires, pull, built, seed)
             for seed in range(2, 2 + options.seeds)

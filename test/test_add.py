@@ -93,7 +93,7 @@ def diagnosed(name):
 
 
 # of another arm that hides hinge friction (messy_002) test_diagnose_command.py says the same
-@pytest.mark.parametrize('name', [slow('messy_002'), 'messy_008', 'messy_s0'])
+@pytest.mark.parametrize('name', [slow('messy_002'), slow('messy_008'), 'messy_s0'])
 @pytest.mark.long
 def test_a_diagnosis_and_an_addition_tell_the_same_numbers_of_an_arm_as_built(name):
     dataset, found, made = diagnosed(name)

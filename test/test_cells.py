@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
+from marks import slow
 from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
@@ -68,7 +69,7 @@ def test_an_effect_is_named_alone_in_spite_of_the_scatter(seed):
     assert lever.low < 2e-4 < lever.high
 
 
-@pytest.mark.parametrize(('cell', 'factor'), [(3, 0.6), (6, 0.7)])
+@pytest.mark.parametrize(('cell', 'factor'), [(3, 0.6), slow(6, 0.7)])
 @pytest.mark.long
 def test_scatter_is_no_excuse_for_a_soft_cell(cell, factor):
     found = diagnose(scattered(3, **{f'cell_{cell}': factor}), ROBOT, CATALOGUE, 1)

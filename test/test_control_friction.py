@@ -4,7 +4,8 @@ import re
 
 import numpy as np
 import pytest
-from friction_rig import SIDES, TARGETS, Rig, from_sides, model
+from friction_rig import MORE_SIDES, SIDES, TARGETS, Rig, from_sides, model
+from marks import slow
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings, Target, target_search
@@ -37,7 +38,10 @@ def test_also_where_wire_lengths_are_commanded():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(('arm', 'memory', 'wires', 'pull', 'built'), SIDES)
+@pytest.mark.parametrize(
+    ('arm', 'memory', 'wires', 'pull', 'built'),
+    [*SIDES, *(slow(*case) for case in MORE_SIDES)],
+)
 def test_a_target_is_the_same_place_from_every_side(arm, memory, wires, pull, built):
     spread, off = from_sides(arm, memory, wires, pull, built)
     assert 3.0 * max(spread[True]) < max(spread[False])

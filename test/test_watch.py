@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from marks import slow
 from source_tree import ROOT
 from watched_arm import NOISE, ROBOT, averaged, coarse, looked, postures
 
@@ -76,7 +77,7 @@ def drawn_off(robot, size, random):
     return root @ random.normal(0.0, size / np.sqrt(3.0), (len(heights), 3))
 
 
-@pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
+@pytest.mark.parametrize('exact', [slow(True), False], ids=['exact', 'as built'])
 @pytest.mark.parametrize('name', ARMS)
 @pytest.mark.long
 def test_what_the_model_is_known_to_be_off_is_no_force(name, exact):
@@ -128,7 +129,7 @@ def test_an_arm_whose_tip_is_never_seen_has_its_error_at_the_last_marker_that_is
 LACKED = 'transmission_loss', 0.05, 4e-3  # effect, its fraction [1], the error that it makes [m]
 
 
-@pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
+@pytest.mark.parametrize('exact', [slow(True), False], ids=['exact', 'as built'])
 @pytest.mark.parametrize('name', ARMS)
 @pytest.mark.long
 def test_the_error_of_a_description_comes_back_with_its_postures(name, exact):
@@ -213,7 +214,7 @@ def known_arm(name, exact):
     return learned_from(replace(FINE[name], exact=exact))
 
 
-@pytest.mark.parametrize('part', [0.4, 0.75, 1.0])
+@pytest.mark.parametrize('part', [slow(0.4), 0.75, slow(1.0)])
 @pytest.mark.parametrize('exact', [True, False], ids=['exact', 'as built'])
 @pytest.mark.parametrize('name', ARMS)
 @pytest.mark.long
@@ -357,7 +358,9 @@ def learned_from(robot, wrong=(), hidden=None):
     return arm
 
 
-@pytest.mark.parametrize('robot', [load_robot('kato_10_1'), ROBOT], ids=['planar', 'spatial'])
+@pytest.mark.parametrize(
+    'robot', [slow(load_robot('kato_10_1')), ROBOT], ids=['planar', 'spatial']
+)
 @pytest.mark.long
 def test_misread_references_are_no_part_of_what_is_learned(robot):
     """With one 2 mm off the arm was known five times and more as badly."""
