@@ -10,12 +10,14 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 
+import numpy as np
+
 from ...common.arrays import Floats
 from ...common.errors import DriverError, MovedError
 from ...drivers import Driver, Fault, Reading
 from ...drivers.interface import SETTLED_S
 from ...drivers.safety import FOLLOWING, LIMP, OFF, RELEASED, Decision, Supervisor
-from ..shared.timing import CALL_TIMEOUT_S, WORK_TIMEOUT_S
+from ..shared.timing import CALL_TIMEOUT_S, SILENCE_S, WORK_TIMEOUT_S
 
 
 @dataclass(frozen=True)
@@ -111,17 +113,23 @@ class MotorLoop:
             self.supervisor.latch.stop('reboot', 'rebooted, torque is off')
         self.driver.reboot()
 
-    def release(self, key: str, reason: str, timeout: float) -> bool:
+    @property
+    def _ramp_time(self) -> float:
+        """Duration [s] of a release over the whole range of the commands."""
+        rules = self.supervisor.rules
+        return float(np.ptp(rules.limits, axis=1).max() / rules.release_rate)
+
+    def release(self, key: str, reason: str) -> bool:
         """
-        Ramp the arm to rest and wait, at most `timeout` [s].
+        Ramp the arm to rest and wait, no longer than the longest ramp takes.
 
         Returns
         -------
         bool
-            Whether the arm is at rest; False after the timeout, or when the thread died.
+            Whether the arm is at rest; False when it took longer, or when the thread died.
 
         """
-        deadline = time.monotonic() + timeout
+        deadline = time.monotonic() + self._ramp_time + SILENCE_S
         self.supervisor.latch.stop(key, reason)
         while time.monotonic() < deadline and self._thread.is_alive():
             if self.supervisor.state in (RELEASED, LIMP, OFF):
@@ -134,7 +142,8 @@ class MotorLoop:
         """End the thread, then close the driver."""
         self._ending.set()
         if self._thread.is_alive():
-            self._thread.join(timeout=2.0 * CALL_TIMEOUT_S)  # a rescue is to end its ramp
+            longest = self._ramp_time + 2.0 * CALL_TIMEOUT_S  # a rescue is to end its ramp
+            self._thread.join(timeout=min(longest, threading.TIMEOUT_MAX))
         self.driver.close()
 
     def _enable(self) -> None:
@@ -210,7 +219,7 @@ class MotorLoop:
         """Handle an unexpected error: ramp down if the driver works, else switch torque off."""
         try:
             self.supervisor.latch.stop('crash', f'the driver process failed: {self.crashed}')
-            for _ in range(round(CALL_TIMEOUT_S / self._period)):
+            while True:  # every step comes closer to rest, or is at rest
                 decision = self.supervisor.step(time.monotonic(), None, self.driver.read())
                 self._torque(decision)
                 if decision.state not in (OFF, LIMP):

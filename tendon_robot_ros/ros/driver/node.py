@@ -15,7 +15,6 @@ from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -35,7 +34,7 @@ from ..shared.parameters import Parameters
 from ..shared.quality import JOINTS
 from ..shared.runtime import end_requested, has_priority, on_end_request, repeat, run
 from ..shared.senders import OwnPublisher, Senders, gid_text
-from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
+from ..shared.timing import VALUES_PERIOD_S
 from . import backend
 from .backend import MockTracker
 from .motor_loop import Cycle, MotorLoop
@@ -140,9 +139,7 @@ class DriverNode(StoppableNode):
         assert self.loop is not None
         if self.loop.crashed is not None:  # the thread has already released the arm
             return
-        rules = self.loop.supervisor.rules
-        longest = float(np.max(np.ptp(rules.limits, axis=1)) / rules.release_rate) + SILENCE_S
-        if not self.loop.release(INACTIVE, INACTIVE_REASON, longest):
+        if not self.loop.release(INACTIVE, INACTIVE_REASON):
             self.get_logger().error('the release did not end in time; torque off')
             self.loop.call(self.loop.driver.disable)
 
