@@ -126,20 +126,34 @@ def test_a_trajectory_ends_within_the_limits_of_a_model_that_came_meanwhile():
     assert rig.code() == 'played'
 
 
-def test_so_does_one_that_waits_to_be_looked_at_while_the_model_changes():
-    far = KeepOut((Region('lamp', Sphere((1.0, 0.0, 0.0), 0.01)),))
-    rig = Rig(rate_limit=10.0, keep_out=far)
-    rig.run(0.1)
-    jobs, in_place = {}, rig.core.solver
-    rig.core.solver = SimpleNamespace(post=lambda kind, *job, **more: jobs.update({kind: job}))
-    rig.core.play(rig.now, Trajectory(np.array([0.5]), np.array([[1.1, 0.1, 0.1, 0.6]])))
+def posted(rig, act):
+    """Return the work and what takes its result that an act posts to a solver that waits."""
+    jobs, in_place = [], rig.core.solver
+    rig.core.solver = SimpleNamespace(post=lambda kind, *job, **more: jobs.append(job))
+    act()
     rig.core.solver = in_place
-    rig.core.set_model(Model(replace(model().robot, tension_limits=(0.1, 0.4))))
-    work, done = jobs['trajectory']
-    done(work(lambda: False), None)
-    rig.run(1.0)
-    assert rig.tensions == pytest.approx([0.4, 0.1, 0.1, 0.4])
-    assert rig.code() == 'played'
+    (job,) = jobs
+    return job
+
+
+def test_one_that_is_checked_while_the_model_changes_is_checked_again_and_ends_there_too():
+    softer = model().robot.with_effect('backbone_stiffness', {'relative_change': -0.3})
+    new, end = Model(replace(softer, tension_limits=(0.1, 0.4))), np.array([0.5, 0.1, 0.1, 0.6])
+    for place, code, tensions in (
+        ([1.0, 0.0, 0.0], 'played', [0.4, 0.1, 0.1, 0.4]),
+        (new.shape(end).tip_position, 'refused_keep_out', [0.1, 0.1, 0.1, 0.1]),
+    ):
+        room = KeepOut((Region('lamp', Sphere(tuple(place), 0.005)),))
+        rig = Rig(rate_limit=10.0, keep_out=room)
+        rig.run(0.1)
+        trajectory = Trajectory(np.array([0.5]), end[None])
+        work, done = posted(rig, lambda rig=rig, one=trajectory: rig.core.play(rig.now, one))
+        rig.core.set_model(new)
+        assert work(lambda: False) is None  # the model of before keeps out
+        done(None, None)
+        rig.run(1.0)
+        assert rig.code() == code
+        assert rig.tensions == pytest.approx(tensions)
 
 
 def test_a_target_that_comes_while_a_model_is_looked_at_is_met_with_it():
@@ -147,19 +161,10 @@ def test_a_target_that_comes_while_a_model_is_looked_at_is_met_with_it():
     rig.run(0.1)
     rig.core.aim(reachable())
     rig.run(1.0)
-    jobs, in_place = {}, rig.core.solver
-    held = SimpleNamespace(
-        post=lambda kind, *job, **more: jobs.update({kind: job}),
-        busy=lambda kind: kind in jobs,
-        serve=lambda: None,
-    )
     stiffer = Model(model().robot.with_effect('backbone_stiffness', {'relative_change': 0.2}))
-    rig.core.solver = held
-    rig.core.set_model(stiffer)
-    rig.core.solver = in_place
+    work, done = posted(rig, lambda: rig.core.set_model(stiffer))
     new = reachable((0.1, 0.8, 0.3, 0.1))
     rig.core.aim(new)
-    work, done = jobs['model']
     done(work(lambda: False), None)
     rig.run(1.0)
     assert stiffer.shape(rig.tensions).tip_position == pytest.approx(new.position, abs=1e-4)

@@ -129,6 +129,9 @@ class ControllerCore(ControllerState):
         def done(refusal: Refusal | None, error: Failure) -> None:
             if self.pending_trajectory is not trajectory:
                 return  # a newer command has replaced it
+            if self.model is not model or self.settings.keep_out is not settings.keep_out:
+                self._check_trajectory(now, trajectory)  # these came during the check
+                return
             self.pending_trajectory = None
             if error is not None:
                 problem = f'tendon_trajectory: {error}; nothing was played'
