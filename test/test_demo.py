@@ -2,13 +2,18 @@
 
 import os
 import re
+from contextlib import nullcontext
 from pathlib import Path
+from unittest.mock import MagicMock
 
+import numpy as np
 import processes
 import pytest
 from forked import Forked
 
 pytest.importorskip('rclpy')
+
+from tendon_robot_ros.ros.commands import demo as command
 
 pytestmark = [pytest.mark.ros, pytest.mark.long]
 ROOT = Path(__file__).parents[1]
@@ -53,6 +58,23 @@ def test_the_demo_reaches_its_postures(tmp_path):
     assert re.search(r'nearest|at_limit', rows['out of reach'])
     assert (tmp_path / 'demo' / 'postures.png').stat().st_size > 10_000
     assert children(f'/demo_{process.pid}') == []
+
+
+def test_a_posture_that_is_not_reached_is_named_and_the_exit_code_is_1(monkeypatch, capsys):
+    def go(pilot, posture):
+        status = 'no_driver' if posture.name.startswith('middle') else 'reached'
+        return command.Outcome(np.zeros(3), 1e-4, 0.0, np.zeros(4), status, (), 0.01)
+
+    for name, stand_in in {
+        'go': go,
+        'draw': lambda *given: None,
+        **dict.fromkeys(
+            ('ros', 'NodeProcess', 'Pilot'), lambda *_, **__: nullcontext(MagicMock())
+        ),
+    }.items():
+        monkeypatch.setattr(command, name, stand_in)
+    assert command.main([]) == 1
+    assert 'missed by more than 0.3 mm: middle, 180° view' in capsys.readouterr().err
 
 
 def test_an_interrupted_demo_leaves_no_processes(tmp_path):
