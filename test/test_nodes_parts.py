@@ -336,9 +336,8 @@ def test_parameters_that_are_refused_together_leave_everything_as_it_was():
 
 
 def test_an_attempt_to_configure_that_is_refused_starts_no_thread(monkeypatch):
-    started, node = [], MagicMock()
+    started, node = [], MagicMock(parameters={'keep_out': 'nowhere.yaml'})
     monkeypatch.setattr(controller_node, 'Worker', started.append)
-    node._fence.side_effect = InputError('keep_out: nowhere.yaml: no such file')
     with pytest.raises(InputError, match='nowhere'):
         ControllerNode.configure(node)
     assert not started

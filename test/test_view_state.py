@@ -34,19 +34,19 @@ def test_the_page_leads_from_the_first_click_to_the_fallen_error():
     assert 'Waiting for the robot' in state.guide()
     state.add_error(0.0, 5e-3)
     assert 'click 1 to record' in said(state)
-    assert not state.can_diagnose and not state.can_add
+    assert not state.ready['diagnose'] and not state.ready['add']
     assert 'Recording: 3 of 8' in said(state, recording='true', postures='3')
     assert 'Click 2' in said(state, recording='true', postures='9')
-    assert state.can_diagnose
+    assert state.ready['diagnose']
     assert 'Comparing every' in said(state, postures='9', diagnosing='true')
-    assert not state.can_diagnose and not state.can_record
+    assert not state.ready['diagnose'] and not state.ready['record']
     state.set_verdict(published(Verdict.MISSING_EFFECT))
     assert 'Fitting' in said(state, postures='9', diagnosing='true')
     assert 'Click 3' in said(state, postures='9', addition='gravity')
-    assert state.can_record
-    assert state.can_add
+    assert state.ready['record']
+    assert state.ready['add']
     assert 'now has gravity' in said(state, postures='9', added='1')
-    assert not state.can_add
+    assert not state.ready['add']
     assert [text for _, text in state.marks] == ['gravity']
 
 
@@ -58,7 +58,7 @@ def test_the_first_button_says_what_a_click_on_it_does_to_what_is_recorded():
     assert '1 stops' in said(state, recording='true', postures='49', kept='false')
     assert state.record_label == '1  Stop recording (49)'
     assert '1 records more' in said(state, postures='49', kept='false')
-    assert state.record_label == '1  Record on, from 49' and state.can_diagnose
+    assert state.record_label == '1  Record on, from 49' and state.ready['diagnose']
     said(state, postures='49', kept='true')  # diagnosed: a click begins another one
     assert state.record_label == '1  Record'
 
@@ -75,7 +75,7 @@ def test_what_the_catalogue_cannot_name_is_not_added():
     state = ViewState()
     state.set_verdict(published(Verdict.OUTSIDE_CATALOGUE))
     assert 'no name for this cause' in said(state, postures='9', addition='tip_load')
-    assert not state.can_add
+    assert not state.ready['add']
 
 
 def test_reset_is_offered_after_a_stop_only():
@@ -122,9 +122,9 @@ def test_squares_of_the_grid_have_round_sizes(length, square):
 
 def test_the_news_of_an_investigation_are_kept_until_the_next_one_begins():
     state = ViewState()
-    assert not state.can_investigate
+    assert not state.ready['start']
     state.set_status(0.0, 'investigate', 0, 'free', {'code': 'waiting'})
-    assert state.can_investigate
+    assert state.ready['start']
     first = {'kind': 'posture', 'number': 1, 'text': 'posture 1'}
     round_ = {'kind': 'diagnosis', 'postures': 4, 'text': '  4 postures: <b>tip_load</b>'}
     for news in (first, round_):

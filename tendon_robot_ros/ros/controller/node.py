@@ -127,13 +127,13 @@ class ControllerNode(StoppableNode):
         model = self._loading.result()
         self._loading.accept(model)
         self.status.arm = model.robot.name
-        self._fence(self.parameters['keep_out'])
+        self._keep_out = parameters.keep_out_of(self.parameters['keep_out'])
         settings = parameters.settings(self.parameters, self._keep_out)
         self._solver = Worker(self._wake)  # last: of a refused attempt no thread stays
         core = ControllerCore(model, settings, self._solver)
         core.driver_reports(*self._driver.last)
         self._incoming = Incoming(self, self.parameters, model)
-        self._prediction = Prediction(self, self._incoming.base, model)
+        self._prediction = Prediction(self, self._incoming)
         self.core = core
         self.latch_early_stops()
         if has_priority():
@@ -335,7 +335,6 @@ class ControllerNode(StoppableNode):
             if another_robot(model.robot, self._incoming.model.robot):
                 self.get_logger().warning('another robot: the target is void, the arm holds')
             self._incoming.use(model)
-            self._prediction.use(self._incoming.base, model)
             self._loading.accept(model)
             self.status.arm = model.robot.name
             core.refusals.pop('model', None)
@@ -367,8 +366,8 @@ class ControllerNode(StoppableNode):
         if self.core is not None:
             self._let_go()
 
-    def stop_called(self) -> Trigger.Response:
-        """Stop, and return the response of the service `~/stop`."""
+    def stop_called(self) -> str:
+        """Stop; return what follows, as the service `~/stop` answers."""
         self.stop_now()
         if self.core is None:
             consequence = 'it has no model and commands nothing, so the driver is told nothing'
@@ -378,8 +377,7 @@ class ControllerNode(StoppableNode):
             consequence = 'no driver hears it'
         else:
             consequence = 'the driver releases the arm'
-        message = f'stopped; {consequence}; call reset to go on'
-        return Trigger.Response(success=True, message=message)
+        return f'stopped; {consequence}; call reset to go on'
 
     def _request_reset(self, request: Trigger.Request, send: Callable[[object], None]) -> None:
         """Reset in the executor: the thread that receives stops must not wait for the driver."""
@@ -416,16 +414,12 @@ class ControllerNode(StoppableNode):
     def _retune(self, names: Collection[str]) -> None:
         """Apply changed parameters."""
         self._subscribe_tip()
-        if 'keep_out' in names:
-            self._fence(self.parameters['keep_out'])
+        if 'keep_out' in names:  # parsed only when it changes
+            self._keep_out = parameters.keep_out_of(self.parameters['keep_out'])
         if 'model' in names:
             self._loading.change(self.parameters['model'])
         if self.core is not None:
             self.core.settings = parameters.settings(self.parameters, self._keep_out)
-
-    def _fence(self, text: str) -> None:
-        """Set the keep-out regions; they are parsed only when they change."""
-        self._keep_out = parameters.keep_out_of(text)
 
 
 def main(arguments: Sequence[str]) -> int:

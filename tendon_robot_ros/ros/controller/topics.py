@@ -161,27 +161,22 @@ class Incoming:
 class Prediction:
     """Publishes shape, tip and markers of the predicted arm."""
 
-    def __init__(self, node: Node, frame: str, model: Model) -> None:
-        """Create the publishers."""
-        self._node = node
-        self.use(frame, model)
+    def __init__(self, node: Node, arm: Incoming) -> None:
+        """Create the publishers; `arm` has the model and the base frame."""
+        self._node, self._arm = node, arm
         names = 'controller/predicted_shape', 'controller/predicted_tip', 'controller/markers'
         self._publishers = [
             messages.passing_publisher(node, *interface.topic(name)) for name in names
         ]
 
-    def use(self, frame: str, model: Model) -> None:
-        """Use the robot of a model and the name of its base frame."""
-        self._frame = frame
-        self._thickness = 2.0 * natural_sizes(model.robot)['radius']
-
     def publish(self, shape: Shape) -> None:
         """Publish a shape; poses are the distal ends of the cells."""
-        header, points = messages.header_now(self._node, self._frame), shape.positions
+        header, points = messages.header_now(self._node, self._arm.base), shape.positions
+        thickness = 2.0 * natural_sizes(self._arm.model.robot)['radius']
         makers = (
             lambda: messages.pose_array(header, points, shape.frames),
             lambda: messages.pose_stamped(header, shape.tip_position, shape.frames[-1]),
-            lambda: messages.arm_markers(header, points, self._thickness, PREDICTED, 'predicted'),
+            lambda: messages.arm_markers(header, points, thickness, PREDICTED, 'predicted'),
         )
         for publisher, make in zip(self._publishers, makers, strict=True):
             if publisher.get_subscription_count():

@@ -16,7 +16,6 @@ from functools import partial
 from pathlib import Path
 
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from ...common.errors import DriverError
 from ...common.processes import Realtime, go_realtime
@@ -260,11 +259,11 @@ class DriverNode(StoppableNode):
         self.stop_topic.poll()
         return end_requested() or bool(self.latch)
 
-    def stop_called(self) -> Trigger.Response:
-        """Stop, and return the response of the service `~/stop`."""
+    def stop_called(self) -> str:
+        """Stop; return what follows, as the service `~/stop` answers."""
         self.stop_now()
         does = 'releasing' if self.loop is not None else 'stopped; no motors are open'
-        return Trigger.Response(success=True, message=f'{does}; call reset to go on')
+        return f'{does}; call reset to go on'
 
     def _reset(self) -> str:
         def reset(loop: MotorLoop) -> None:
@@ -298,10 +297,9 @@ class DriverNode(StoppableNode):
 
     def _retune(self, names: Collection[str]) -> None:
         """Apply changed rates and times."""
-        if self.loop is not None:
-            loop = self.loop
-            rules = backend.rules(loop.driver.robot, loop.driver, self.parameters)
-            loop.supervisor.rules = rules
+        if (loop := self.loop) is not None:
+            driver = loop.driver
+            loop.supervisor.rules = backend.rules(driver.robot, driver, self.parameters)
 
 
 def main(arguments: Sequence[str]) -> int:

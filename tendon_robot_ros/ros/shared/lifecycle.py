@@ -18,7 +18,7 @@ from ...common.errors import MovedError, TendonRobotError
 from ...common.local_stop import StopListener, Stoppable
 from ...drivers.safety import StopLatch
 from . import interface
-from .inbox import STOP_REASON, Service, StopTopic
+from .inbox import STOP_REASON, Answer, Service, StopTopic
 from .messages import stamp_now
 from .parameters import Parameters
 from .runtime import Runnable
@@ -159,13 +159,16 @@ class StoppableNode(Runnable, LifecycleNode):
 
     def listen(self, *services: Service) -> None:
         """Receive stops and answer services in a thread of their own."""
-        stop = Service(self, Trigger, '~/stop', lambda _, send: send(self.stop_called()))
+
+        def stop(_: Trigger.Request, send: Answer) -> None:
+            send(Trigger.Response(success=True, message=self.stop_called()))
 
         def cleared() -> None:
             if (latch := self.latch) is not None:
                 latch.cause_removed('stop topic')
 
-        self.stop_topic = StopTopic(self, self.stop_by_topic, cleared, [stop, *services])
+        services = Service(self, Trigger, '~/stop', stop), *services
+        self.stop_topic = StopTopic(self, self.stop_by_topic, cleared, services)
         self._local_stop = StopListener(
             self.context.get_domain_id(),
             Stoppable(self.get_fully_qualified_name(), self._drives),
@@ -178,8 +181,8 @@ class StoppableNode(Runnable, LifecycleNode):
         """The latch of stops; None while there is nothing to stop."""
         raise NotImplementedError
 
-    def stop_called(self) -> Trigger.Response:
-        """Stop, and return the response of the service `~/stop`."""
+    def stop_called(self) -> str:
+        """Stop; return what follows, as the service `~/stop` answers."""
         raise NotImplementedError
 
     def stop_by_topic(self, reason: str) -> None:

@@ -312,8 +312,6 @@ class Request:
         """Create the client."""
         self._client = node.create_client(kind, service)
         self._future: Future | None = None
-        self._request: object = None
-        self._answer: Callable[[Any], object] = lambda response: None
         self._sent_at = float('-inf')
 
     @property
@@ -339,30 +337,26 @@ class Request:
     def ask(self, request: object, answer: Callable[[Any], object]) -> bool:
         """Send a request; return whether the service exists."""
         self.drop()
-        self._request, self._answer = request, answer
-        if self.ready:
-            self._send()
-        return self.waiting
+        if not self.ready:
+            return False
+        self._asked, self._sent_at = (request, answer), time.monotonic()
+        future = self._future = self._client.call_async(request)
+
+        def done(answered: Future) -> None:
+            if answered is self._future:
+                self._future = None
+                answer(answered.result())
+
+        future.add_done_callback(done)
+        return True
 
     def repeat(self) -> None:
-        """Repeat the request if its answer is overdue."""
-        if self.waiting and self.age > ANSWER_TIMEOUT_S:
-            self.drop()
-            self._send()
+        """Repeat the request if its answer is overdue and the service exists."""
+        if self.waiting and self.age > ANSWER_TIMEOUT_S and self.ready:
+            self.ask(*self._asked)
 
     def drop(self) -> None:
         """Ignore the answer if it is pending."""
         if self._future is not None:
             self._client.remove_pending_request(self._future)
             self._future = None
-
-    def _send(self) -> None:
-        self._sent_at = time.monotonic()
-        future = self._future = self._client.call_async(self._request)
-
-        def done(answered: Future) -> None:
-            if answered is self._future:
-                self._future = None
-                self._answer(answered.result())
-
-        future.add_done_callback(done)

@@ -175,7 +175,9 @@ class LivePage:
             'scene': page_parts.scene(state.measured, state.predicted),
             'statuses': page_parts.statuses(state.statuses(now)),
             'error': page_parts.big_error(state.rolling(now), state.per_marker()),
-            'curve': page_parts.curve(state.curve, now, state.marks, state.floor),
+            'curve': page_parts.curve(
+                state.curve, now, state.marks, state.verdict.get('noise_floor')
+            ),
             'bars': page_parts.bars(state.inputs, state.tensions, *state.limits),
             'verdict': page_parts.verdict(state.verdict),
             'investigation': page_parts.investigation(state.investigation),
@@ -185,13 +187,7 @@ class LivePage:
             self._boxes[name].content = content
         self._buttons['record'].label = state.record_label
         self._buttons['reset'].visible = state.stopped
-        ready = {
-            'record': state.can_record,
-            'diagnose': state.can_diagnose,
-            'add': state.can_add,
-            'start': state.can_investigate,
-        }
-        for name, on in ready.items():
+        for name, on in state.ready.items():
             self._buttons[name].disabled = not on
         if self._tour.value != state.touring:
             self._tour.value = state.touring

@@ -94,25 +94,16 @@ class ViewState:
         return any(v.get('stopped') == 'true' or v.get('code') == 'stopped' for v in values)
 
     @property
-    def can_record(self) -> bool:
-        """Whether no diagnosis or fit is using the recording."""
-        return self.monitor.get('diagnosing') != 'true'
-
-    @property
-    def can_diagnose(self) -> bool:
-        """Whether a recording can be diagnosed."""
-        return self.postures >= 2 and self.can_record
-
-    @property
-    def can_add(self) -> bool:
-        """Whether a diagnosed effect can be added."""
-        return bool(self.monitor.get('addition')) and self.verdict.get('may_add') is not False
-
-    @property
-    def floor(self) -> float | None:
-        """Noise floor of the last diagnosis [m]."""
-        floor = self.verdict.get('noise_floor')
-        return None if floor is None else float(floor)
+    def ready(self) -> dict[str, bool]:
+        """Name of a button -> whether a click on it does something now."""
+        monitor = self.monitor
+        free = monitor.get('diagnosing') != 'true'  # else a diagnosis uses the recording
+        return {
+            'record': free,
+            'diagnose': free and self.postures >= 2,
+            'add': bool(monitor.get('addition')) and self.verdict.get('may_add') is not False,
+            'start': self.node('investigate')[3].get('code') == 'waiting',
+        }
 
     def set_status(
         self, now: float, name: str, level: int, text: str, values: dict[str, str]
@@ -154,11 +145,6 @@ class ViewState:
             self.investigation.clear()
             self.verdict = {}  # of an earlier recording
         self.investigation.append(news)
-
-    @property
-    def can_investigate(self) -> bool:
-        """Whether the node `investigate` runs and is free."""
-        return self.node('investigate')[3].get('code') == 'waiting'
 
     def rolling(self, now: float) -> float:
         """Return the median rolling error [m] of the last `STEADY_S`; nan: there is none."""
@@ -213,10 +199,10 @@ class ViewState:
                 f'{self.postures} postures are recorded. Click 2: which effect is missing? '
                 f'({also}; {POSTURES_ADVISED} suffice, with more a diagnosis takes longer.)'
             )
-        if self.can_add:
+        if self.ready['add']:
             return str(self.verdict.get('guide', 'Click 3: the model gets the effect.'))
         investigated = any(news['kind'] == 'change' for news in self.investigation)
-        if self.monitor.get('drift') == 'true' and self.can_investigate and not investigated:
+        if self.monitor.get('drift') == 'true' and self.ready['start'] and not investigated:
             return f'The arm is {self.monitor.get("watch", "")}. {CHANGED_HINT}'
         if self.investigation and not self.verdict:
             return self._investigation_guide()
