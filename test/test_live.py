@@ -1,6 +1,5 @@
 """`make live`: the story as text, and clicked through in a browser."""
 
-import json
 import os
 import signal
 import sys
@@ -47,30 +46,6 @@ def test_the_arm_finds_out_by_itself():
     assert 'the controller uses it' in text
     assert text.count('\nposture ') <= 6, 'half of the twelve that a person would record'
     assert '% gone)' in text
-
-
-def test_beside_the_page_the_terminal_says_every_posture(capsys):
-    from std_msgs.msg import String
-
-    from tendon_robot_ros.ros.commands.live import Director
-    from tendon_robot_ros.ros.shared.quality import LATCHED_BY_MANY
-    from tendon_robot_ros.ros.shared.runtime import ros
-
-    space, lines = f'/live_{os.getpid()}', []
-    with ros([]) as ending:
-        director = Director(space, ending)
-        director.print_investigation()
-        told = director.create_publisher(String, 'investigate/progress', LATCHED_BY_MANY)
-        for text in ('posture 1: one 0.2 N', 'one name is left'):
-            told.publish(String(data=json.dumps({'kind': 'posture', 'text': text})))
-
-        def heard():
-            lines.extend(capsys.readouterr().out.splitlines())
-            return len(lines) == 2
-
-        director.wait(heard, 20.0, 'both lines')
-        director.destroy_node()
-    assert lines == ['posture 1: one 0.2 N', 'one name is left']
 
 
 def test_a_node_that_ends_while_all_others_start_is_named_at_once():

@@ -89,7 +89,6 @@ def play(
     director.wait_until_up()
     if not options.headless:
         print(f'open http://127.0.0.1:{options.port}   (Ctrl-C ends)', flush=True)
-        director.print_investigation()
         if options.investigate:
             print(director.triggered('investigate/start'), flush=True)
         while True:  # the postures for ever, while the page has the tour switched on
@@ -174,14 +173,6 @@ class Director(Pilot):
         interface.subscribe(self, 'monitor/progress', keep('progress'), 'monitor', STATE)
         interface.subscribe(self, 'monitor/verdict', verdict, 'monitor')
         interface.subscribe(self, 'tour', keep('touring'))
-
-    def print_investigation(self) -> None:
-        """Print the progress of an investigation from now on, as the page shows it."""
-
-        def show(message: String) -> None:
-            print(json.loads(message.data)['text'], flush=True)
-
-        interface.subscribe(self, 'investigate/progress', show, 'investigate')
 
     def wait_until_up(self) -> None:
         """Wait until all nodes work; TendonRobotError: one has ended."""

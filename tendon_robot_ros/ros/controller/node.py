@@ -21,7 +21,6 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from ...common.errors import TendonRobotError
 from ...common.processes import Realtime, go_realtime, in_realtime
@@ -34,7 +33,7 @@ from ...drivers.safety import StopLatch
 from ...model.model import Model
 from ...robot.keep_out import KeepOut
 from ..shared import interface
-from ..shared.inbox import Inbox, Received, Service, subscribe_any_qos
+from ..shared.inbox import Answer, Inbox, Received, Service, subscribe_any_qos
 from ..shared.lifecycle import LEVELS, Status, StoppableNode
 from ..shared.messages import header_now, passing_subscription, refilled, stamp_now
 from ..shared.parameters import Parameters
@@ -102,7 +101,7 @@ class ControllerNode(StoppableNode):
                 self.core.predict(time.monotonic(), self._prediction.publish)
 
         self._driver = DriverLink(self, topic, gid, driver_status)
-        self.listen(Service(self, Trigger, '~/reset', self._request_reset))
+        self.listen(Service(self, '~/reset', self._request_reset))
         repeat(self, 1.0 / self.parameters['rate'], self._cycle)
         repeat(self, 1.0 / self.parameters['shape_rate'], predict)
 
@@ -327,11 +326,7 @@ class ControllerNode(StoppableNode):
             self._loading.refuse()
             core.refusals['model'] = Refusal('model', f'the old model stays: {error}')
 
-        def swapped(model: Model, error: TendonRobotError | None) -> None:
-            """Accept the model if it has an equilibrium at the present tensions."""
-            if error is not None:
-                refuse(error)
-                return
+        def use(model: Model) -> None:
             if another_robot(model.robot, self._incoming.model.robot):
                 self.get_logger().warning('another robot: the target is void, the arm holds')
             self._incoming.use(model)
@@ -345,14 +340,13 @@ class ControllerNode(StoppableNode):
         except TendonRobotError as error:
             refuse(error)
         else:
-            core.set_model(model, lambda error: swapped(model, error))
+            # it is used if it has an equilibrium at the present tensions
+            core.set_model(model, lambda error: refuse(error) if error else use(model))
 
     def _resumed(self, follows: bool, why: str) -> None:
         """Pass on whether the driver follows again."""
-        if self.core is not None and follows:
-            self.core.resumed()
-        elif self.core is not None:
-            self.core.not_resumed(why)
+        if (core := self.core) is not None:
+            core.resumed() if follows else core.not_resumed(why)
 
     def stop_by_topic(self, reason: str) -> None:
         """Stop and have the arm released, by the topic `stop`."""
@@ -379,34 +373,32 @@ class ControllerNode(StoppableNode):
             consequence = 'the driver releases the arm'
         return f'stopped; {consequence}; call reset to go on'
 
-    def _request_reset(self, request: Trigger.Request, send: Callable[[object], None]) -> None:
+    def _request_reset(self, send: Answer) -> None:
         """Reset in the executor: the thread that receives stops must not wait for the driver."""
         if self.core is None or self.executor is None:
             stopped, self._stopped = self._stopped, False
-            send(Trigger.Response(success=stopped, message=NOT_READY[stopped]))
+            send(stopped, NOT_READY[stopped])
         else:
             self.executor.create_task(lambda: self._reset(send))
 
-    def _reset(self, send: Callable[[object], None]) -> None:
+    def _reset(self, send: Answer) -> None:
         """Clear the stops once the driver has answered that it follows."""
 
         def reset() -> None:
-            response = Trigger.Response(success=True, message='waiting for a target')
             try:
                 if self.core is not None:
                     self.core.reset()
                     self._stopped = False
+                send(True, 'waiting for a target')
             except TendonRobotError as error:
-                response.success, response.message = False, str(error)
-            send(response)
+                send(False, str(error))
 
         def answered(follows: bool, why: str) -> None:
             if follows:
                 self._resumed(follows, why)
                 reset()
             else:
-                why = f'reset refused: the driver is stopped: {why}'
-                send(Trigger.Response(success=False, message=why))
+                send(False, f'reset refused: the driver is stopped: {why}')
 
         if self._driver.another or not self._driver.resume(answered):
             reset()

@@ -6,7 +6,6 @@ import json
 import time
 from collections.abc import Callable
 from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,6 @@ from ..shared import interface
 from ..shared.messages import arrow_marker, header_now, vector
 from ..shared.parameters import Parameters, base_frame
 
-LOG = 'adaptation.jsonl'  # in the folder of the monitor: a line for every change
 Send = Callable[[str, Callable[[bool, str], None]], None]
 
 
@@ -293,19 +291,11 @@ class Adapting:
         self._send(self._sent, answered)
 
     def _log_change(self, what: str, change: ModelChange) -> None:
-        """Write a change to console, topic and file."""
+        """Write a change to console and topic."""
         for one in change.parameters:
             self._node.get_logger().info(f'{what}: {one}')
         now = datetime.now().astimezone().isoformat(timespec='seconds')
-        content = {'what': what, 'time': now, **change.to_json()}
-        self._publish(content)
-        path = Path(self._parameters['folder']) / LOG
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with path.open('a', encoding='utf-8') as log:
-                log.write(json.dumps(content) + '\n')
-        except OSError as error:  # a full disk must not stop the node
-            self._node.get_logger().warning(f'{path}: cannot be written ({error.strerror})')
+        self._publish({'what': what, 'time': now, **change.to_json()})
 
     def _publish(self, last: dict[str, object] | None = None) -> None:
         """Publish the estimate, and the last change."""

@@ -26,6 +26,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
 from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
 
 from . import interface
 from .messages import passing_subscription
@@ -158,41 +159,40 @@ def _read(data: bytes, kind: type) -> tuple[str, Any]:
         return f'expected a message {name}, got {len(data):,} bytes that are none', None
 
 
-Answer = Callable[[object], None]
+Answer = Callable[[bool, str], None]
 
 
 class Service:
     """
-    A service that is served by `serve`, independently of the executor of its node.
+    A Trigger service that is served by `serve`, independently of the executor of its node.
 
     Parameters
     ----------
     answer : callable
-        Called with a request and a function that sends the response, at once or later.
+        Called at a request, with a function that sends success and message, at once or later.
 
     """
 
-    def __init__(
-        self, node: Node, kind: Any, name: str, answer: Callable[[Any, Answer], object]
-    ) -> None:
+    def __init__(self, node: Node, name: str, answer: Callable[[Answer], object]) -> None:
         """Offer the service."""
-        self._kind, self._answer = kind, answer
-        check_is_valid_srv_type(kind)
+        self._answer = answer
+        check_is_valid_srv_type(Trigger)
         with node.handle:
             qos = qos_profile_services_default.get_c_qos_profile()
-            self.handle = _rclpy.Service(node.handle, kind, name, qos)
+            self.handle = _rclpy.Service(node.handle, Trigger, name, qos)
 
     def serve(self) -> None:
         """Answer the requests since the last call."""
         while True:
             with self.handle:
-                request, header = self.handle.service_take_request(self._kind.Request)
+                _, header = self.handle.service_take_request(Trigger.Request)
             if header is None:
                 return
-            self._answer(request, partial(self._send, header.request_id))
+            self._answer(partial(self._send, header.request_id))
 
-    def _send(self, request_id: Any, response: object) -> None:
+    def _send(self, request_id: Any, success: bool, message: str) -> None:
         """Send a response, unless the client or this service has been destroyed."""
+        response = Trigger.Response(success=success, message=message)
         with contextlib.suppress(_rclpy.RCLError, _rclpy.InvalidHandle), self.handle:
             self.handle.service_send_response(response, request_id)
 

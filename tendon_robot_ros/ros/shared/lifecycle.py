@@ -12,13 +12,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
-from std_srvs.srv import Trigger
 
 from ...common.errors import MovedError, TendonRobotError
 from ...common.local_stop import StopListener, Stoppable
 from ...drivers.safety import StopLatch
 from . import interface
-from .inbox import STOP_REASON, Answer, Service, StopTopic
+from .inbox import STOP_REASON, Service, StopTopic
 from .messages import stamp_now
 from .parameters import Parameters
 from .runtime import Runnable
@@ -160,15 +159,12 @@ class StoppableNode(Runnable, LifecycleNode):
     def listen(self, *services: Service) -> None:
         """Receive stops and answer services in a thread of their own."""
 
-        def stop(_: Trigger.Request, send: Answer) -> None:
-            send(Trigger.Response(success=True, message=self.stop_called()))
-
         def cleared() -> None:
             if (latch := self.latch) is not None:
                 latch.cause_removed('stop topic')
 
-        services = Service(self, Trigger, '~/stop', stop), *services
-        self.stop_topic = StopTopic(self, self.stop_by_topic, cleared, services)
+        stop = Service(self, '~/stop', lambda send: send(True, self.stop_called()))
+        self.stop_topic = StopTopic(self, self.stop_by_topic, cleared, [stop, *services])
         self._local_stop = StopListener(
             self.context.get_domain_id(),
             Stoppable(self.get_fully_qualified_name(), self._drives),

@@ -117,8 +117,7 @@ class LivePage:
             raise DriverError(f'port {port}: {error.strerror}; choose another port') from None
         self.commands: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._token, self._allowed, self._size = token, set[int](), size
-        # client -> the image for which its camera was placed, and the view
-        self._views: dict[int, tuple[Picture | None, View]] = {}
+        self._views: dict[int, View] = {}  # client -> where its camera was placed
         self._scene()
         self._panel()
         self._server.on_client_connect(self._welcome)
@@ -138,18 +137,15 @@ class LivePage:
         self._server.stop()
 
     def resize(self, size: float) -> None:
-        """Adapt scene and cameras to another length [m], except cameras moved by users."""
+        """Adapt the scene to another length [m]; `update` then places the cameras."""
         if size == self._size:
             return
-        placed = [client for client in self._server.get_clients().values() if self._holds(client)]
         for thing in (*self._lines.values(), self._measured):
             if thing is not None:
                 thing.remove()
         self._size = size
         self._scene()
         self._boxes['legend'].content = page_parts.legend(self._square)
-        for client in placed:
-            self._place(client)
 
     def draw(self, state: ViewState) -> None:
         """Update the arms in the scene."""
@@ -170,7 +166,8 @@ class LivePage:
 
     def update(self, state: ViewState, now: float) -> None:
         """Update the panel; only changes are sent."""
-        self._hold_views()
+        for client in self._server.get_clients().values():
+            self._frame(client)
         contents = {
             'scene': page_parts.scene(state.measured, state.predicted),
             'statuses': page_parts.statuses(state.statuses(now)),
@@ -288,7 +285,7 @@ class LivePage:
 
     def _welcome(self, client: Any) -> None:
         """Place the camera of a new browser; request the token, if there is one."""
-        self._place(client)
+        self._frame(client)
         if not self._token:
             return
         field = client.gui.add_text('token', '', order=-1.0)
@@ -300,26 +297,18 @@ class LivePage:
 
         field.on_update(typed)
 
-    def _place(self, client: Any) -> None:
-        """Place a camera so that the whole workspace is visible."""
-        picture = Picture.of(client.camera)
-        view = framed(self._radius, picture)
-        self._views[client.client_id] = picture, view
-        client.camera.position, client.camera.look_at = view.position, view.look_at
-
-    def _hold_views(self) -> None:
-        """Replace cameras whose window changed its shape, and those in the initial view."""
-        for number, client in self._server.get_clients().items():
-            picture, view = self._views.get(number, (None, self._first))
-            if self._holds(client) and (
-                not self._is_at(client, view) or Picture.of(client.camera) != picture
-            ):
-                self._place(client)
-
-    def _holds(self, client: Any) -> bool:
-        """Return whether a camera is as it was placed, or in the initial view."""
-        _, view = self._views.get(client.client_id, (None, self._first))
-        return self._is_at(client, view) or self._is_at(client, self._first)
+    def _frame(self, client: Any) -> None:
+        """Place a camera that nobody has moved so that the whole workspace is visible."""
+        view = framed(self._radius, Picture.of(client.camera))
+        last = self._views.get(client.client_id)
+        moved = last is not None and not (
+            self._is_at(client, last) or self._is_at(client, self._first)
+        )
+        if moved:
+            return
+        self._views[client.client_id] = view
+        if not self._is_at(client, view):
+            client.camera.position, client.camera.look_at = view.position, view.look_at
 
     def _is_at(self, client: Any, view: View) -> bool:
         """Return whether a camera is at a view, as near as the drawn arm is thin."""
