@@ -255,10 +255,6 @@ def test_a_long_description_is_read_beside_the_commands_and_refused_in_the_statu
     station.go_to_point(0.06, 0.17)
 
 
-def test_a_whole_number_is_as_good_as_a_decimal_one(station):
-    assert station.set('controller', 'rate_limit', 10).successful
-
-
 def test_an_unknown_effect_is_refused_with_the_known_ones(station):
     robot = load_robot('kato_10_1').with_effect('magnetism', {'strength': 1.0})
     result = station.set('controller', 'model', dump_robot(robot))

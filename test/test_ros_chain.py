@@ -111,31 +111,13 @@ def test_who_comes_late_hears_the_last_status(station):
     late.close()
 
 
-def test_the_stop_topic_stops_both_and_reset_is_refused_while_it_says_true(station):
-    station.go_to_point(0.1, 0.1)
-    station.send('stop', Bool(data=True), LATCHED)
-    station.until_code(station.controller, 'stopped')
-    station.until_code(station.driver, 'stopped')
-    station.until(lambda: max(last(station.states).effort) < LOW + 0.01, 'pretension')
-    assert last(station.states).effort.tolist() == pytest.approx([LOW] * 4, abs=0.01)
-    for node in ('driver', 'controller'):
-        answer = station.trigger(f'{node}/reset')
-        assert not answer.success
-        assert 'topic stop says true' in answer.message
-    station.send('stop', Bool(data=False), LATCHED)
-    station.until(lambda: station.trigger('driver/reset').success, 'a reset')
-    station.until_code(station.driver, 'following', 'released')
-    station.until(lambda: station.trigger('controller/reset').success, 'a reset')
-    station.until_code(station.controller, 'holding')
-    station.spin(0.3)
-    assert last(station.states).effort.tolist() == pytest.approx([LOW] * 4, abs=0.01)
-
-
 def test_a_stop_of_the_driver_halts_the_controller_and_nothing_moves_after_reset(station):
     station.go_to_point(0.06, 0.17)
     assert station.trigger('driver/stop').success
     station.until_code(station.controller, 'driver_stopped')
-    assert not station.trigger('controller/reset').success
+    answer = station.trigger('controller/reset')
+    assert not answer.success
+    assert 'the driver is stopped: stop was called' in answer.message
     station.until(lambda: max(last(station.states).effort) < LOW + 0.01, 'pretension')
     assert station.trigger('driver/reset').success
     station.until_code(station.controller, 'holding')

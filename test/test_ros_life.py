@@ -151,17 +151,11 @@ def test_the_controller_may_come_first_and_waits(space):
     space.until_code(space.controller, 'holding')
 
 
-def test_a_signal_ends_the_controller_and_the_driver_releases(space):
-    _, controller = moved(space)
-    assert controller.end() == 0
-    space.until_code(space.driver, 'releasing', 'released')
-    assert 'no command' not in last(space.driver).message  # it was told
-    space.until(lambda: max(last(space.states).effort) < LOW + 0.01, 'pretension')
-
-
 def test_release_to_limp_switches_torque_off(space):
     _, controller = moved(space, release_to='limp')
-    controller.end()
+    assert controller.end() == 0
+    space.until_code(space.driver, 'releasing', 'limp')
+    assert 'no command' not in last(space.driver).message  # it was told
     space.until_code(space.driver, 'limp')
     assert values(last(space.driver))['torque_off'].count(',') == 3
     space.until(lambda: max(last(space.states).effort) < 0.01, 'slack tendons')

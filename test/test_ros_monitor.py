@@ -333,25 +333,3 @@ def test_record_diagnose_add_reach_the_controller_and_another_namespace_hears_no
         assert not other.monitor and not other.rolling and not other.verdicts
     finally:
         other.end()
-
-
-@pytest.mark.slow
-def test_two_robots_in_two_namespaces_go_their_own_ways(space, tmp_path):
-    (tmp_path / 'other').mkdir()
-    other = Watched('/elsewhere', tmp_path / 'other')
-    places = {space: np.array([0.08, 0.0, 0.15]), other: np.array([-0.06, 0.0, 0.17])}
-    try:
-        for one in places:
-            for name in ('driver', 'controller', 'monitor'):
-                one.run(name)
-        for one, place in places.items():
-            one.comparing()
-            one.go_to_point(place[0], place[2])
-        for one, place in places.items():
-            one.spin(1.0)
-            off = np.linalg.norm(one.tip() - place)
-            assert 1e-3 < off < 3e-2, 'as far as its softness makes it miss'
-            said = values(last(one.monitor))
-            assert float(said['error (m)']) == pytest.approx(off, abs=1.5e-3)
-    finally:
-        other.end()

@@ -282,11 +282,3 @@ def test_both_resets_one_right_after_the_other_are_taken_every_time(running):
         answer = running.trigger('controller/reset')
         assert answer.success, answer.message
     running.go_to_point(0.05, 0.18)
-
-
-def test_reset_of_the_controller_is_refused_while_the_driver_is_stopped(running):
-    assert running.trigger('driver/stop').success
-    answer = running.trigger('controller/reset')
-    assert not answer.success
-    assert 'the driver is stopped: stop was called' in answer.message
-    assert running.trigger('driver/reset').success

@@ -260,36 +260,6 @@ def test_nodes_go_on_while_the_clock_of_ros_stands_still(
         node.destroy_node()
 
 
-def test_the_executor_serves_what_is_added_while_it_runs(context):
-    context()
-    executor, first, heard, ticks = make_executor(), Node('first'), [], []
-    executor.add_node(first)
-
-    def spin(condition):
-        end = time.monotonic() + 10.0
-        while not condition() and time.monotonic() < end:
-            executor.spin_once(timeout_sec=0.05)
-        assert condition()
-
-    first.create_timer(0.01, lambda: ticks.append(1))
-    spin(lambda: ticks)
-    later = Node('later')
-    executor.add_node(later)
-    later.create_subscription(Bool, 'news', heard.append, LATCHED)
-    first.create_publisher(Bool, 'news', LATCHED).publish(Bool(data=True))
-    first.create_service(Trigger, 'ask', lambda request, response: response)
-    client = later.create_client(Trigger, 'ask')
-    assert client.wait_for_service(10.0)
-    answer = client.call_async(Trigger.Request())
-    spin(lambda: heard and answer.done())
-    executor.remove_node(later)
-    later.destroy_node()
-    count = len(ticks)
-    spin(lambda: len(ticks) > count + 3)
-    executor.shutdown(timeout_sec=1.0)
-    first.destroy_node()
-
-
 def test_without_the_executor_of_events_the_old_one_serves(context, monkeypatch):
     context()
     monkeypatch.setitem(sys.modules, 'rclpy.experimental.events_executor', None)

@@ -68,6 +68,7 @@ def work(folder: Path, effects: Sequence[str]) -> None:
     from ..diagnosis.add import add_effects
     from ..diagnosis.diagnose import diagnose
     from ..effects import load_catalogue
+    from ..report.diagnosis_page import candidate_row
     from ..report.diagnosis_text import lines, verdict
     from ..robot import dump_robot
 
@@ -79,7 +80,7 @@ def work(folder: Path, effects: Sequence[str]) -> None:
     send('verdict', content=diagnosis.to_json() | {
         'sentence': verdict(diagnosis), 'lines': lines(diagnosis), 'report': report,
         'colour': diagnosis.verdict.colour, 'guide': guide_of(diagnosis.verdict, folder),
-        'may_add': diagnosis.adds,
+        'may_add': diagnosis.adds, 'rows': [*map(candidate_row, diagnosis.candidates)],
     })  # fmt: skip
     if diagnosis.effects:
         send('progress', text='fitting what was found, with its intervals', part=1.0)

@@ -160,16 +160,6 @@ def load_direction(load: LoadVector) -> str:
     return ', '.join(directions or ['its direction is not told'])
 
 
-def rounded_quantity(name: str, value: Value) -> str:
-    """Format 'force_y 0.000 N', with decimals by its interval, which is not shown."""
-    half = 0.5 * (value.high - value.low)
-    known = math.isfinite(half) and half > 0.0
-    factor, unit = scale_of(value.unit, max(abs(value.value), half if known else 0.0), name)
-    shown = factor * value.value
-    text = rounded(shown, decimals(factor * half)) if known else digits(shown, 3)
-    return f'{spoken(name)} {with_unit(text, unit)}'
-
-
 def described_quantity(name: str, unit: str, numbers: Sequence[float], count: int = 3) -> str:
     """Say what a description holds: 'relative_change 5/10 %'."""
     factor, shown = scale_of(unit, max(abs(number) for number in numbers), name)

@@ -14,11 +14,8 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Floats
 from ...common.colours import BAD, ERROR, GOOD, INK, KINDS, MEASURED, PREDICTED, WARN, rgb
-from ...common.words import digits, mm, percent
-from ...diagnosis.result import NOT_NEEDED
-from ...inference.intervals import LoadVector, Value
+from ...common.words import digits, mm
 from ...report.page import marked
-from ...report.sentences import load_words, rounded_quantity
 from .state import CURVE_SPAN_S
 
 Floats32 = NDArray[np.float32]
@@ -77,16 +74,12 @@ def scene(measured: Floats | None, predicted: Floats | None) -> str:
 
 def guide(next_step: str, progress: str) -> str:
     """Return the next step, and below it the last progress."""
-    parts = re.search(r'(\d+)/(\d+)$', progress)
     percentage = re.search(r'\((\d+) %', progress)
     how_far = f'value="{percentage[1]}" max="100" ' if percentage else ''
-    if parts:
-        how_far = f'value="{parts[1]}" max="{parts[2]}" '
-    at_work = percentage or progress.startswith(FITTING) or (parts and parts[1] != parts[2])
     bar = (
         f'<progress {how_far}aria-label="{escape(progress)}" '
         f'style="width:100%;accent-color:{PREDICTED}"></progress>'
-        if at_work
+        if percentage or progress.startswith(FITTING)
         else ''
     )
     return (
@@ -224,27 +217,11 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
     if not diagnosis:
         return ''
     sentences = '\n'.join(str(diagnosis.get(key) or '') for key in ('sentence', 'remainder'))
-    rows = []
-    for row in diagnosis.get('candidates', [])[:count]:
-        values = ', '.join(
-            rounded_quantity(key, _value_of(v))
-            for key, v in row['parameters'].items()
-            if v.get('value') is not None
-        )
-        if load := row.get('load'):
-            axis, gravity = (
-                load[key] and _value_of(load[key]) for key in ('from_axis', 'from_gravity')
-            )
-            size = _value_of(load['size'])
-            vector = load_words(LoadVector(size, axis, load['around_axis'], gravity))
-            values += f'; together {vector}'
-        explained = None if row['status'] == NOT_NEEDED else row.get('explained')
-        explains = '–' if explained is None else percent(explained)
-        rows.append(
-            f'<tr><td>{escape(row["name"])}</td><td>{escape(values)}</td>'
-            f'<td style="text-align:right">{explains}<br>'
-            f'<small>{escape(row["status"])}</small></td></tr>'
-        )
+    rows = [
+        f'<tr><td>{escape(name)}</td><td>{escape(values)}</td><td style="text-align:right">'
+        f'{escape(explains)}<br><small>{escape(status)}</small></td></tr>'
+        for name, explains, *_, status, values in diagnosis.get('rows', [])[:count]
+    ]
     head = '<tr><th>effect</th><th>value</th><th>explains</th></tr>' if rows else ''
     colour = KINDS.get(str(diagnosis.get('colour')), PREDICTED)
     lines = filter(None, sentences.split('\n'))
@@ -255,12 +232,6 @@ def verdict(diagnosis: Mapping[str, Any], count: int = 6) -> str:
         'style="font-size:12px;text-align:left;border-spacing:6px 1px">'
         f'{head}{"".join(rows)}</table></div>'
     )
-
-
-def _value_of(json: Mapping[str, Any]) -> Value:
-    """Parse a value of a published diagnosis; an undetermined bound is null."""
-    low, high = (math.inf if json[key] is None else json[key] for key in ('low', 'high'))
-    return Value(json['value'], low, high, json['unit'])
 
 
 def investigation(news: Sequence[Mapping[str, Any]]) -> str:
