@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from geometry_msgs.msg import Vector3Stamped
 from std_msgs.msg import String
 
 from ...common.arrays import Floats
@@ -47,7 +48,7 @@ from . import investigate as investigation
 HELP = 'a mock robot that hides something: watch, diagnose, add, see the error fall'
 LOG = 'nodes.log'
 INVESTIGATION = ('--add', '--speed', '2', '--output')  # how the mock is investigated, and where
-# [1] messages of each kind in a mean, so that the noise of a tracker falls to a quarter: 0.5 s at
+# [1] tip errors in a mean, so that the noise of a tracker falls to a quarter: 0.5 s at
 # 30 Hz
 MESSAGES_MIN = 15
 STARTING_CODES = (None, 'loading', 'compiling', 'building', 'not_ready')
@@ -152,7 +153,8 @@ class Director(Pilot):
         self.touring = True  # switched by the page
         self._standing_since = np.inf  # [s] by the stamps of messages
         self.nodes: list[NodeProcess] = []  # started for this run
-        self._samples: dict[str, deque[tuple[float, Floats]]] = {}  # with their stamps [s]
+        # (3,) [m] of the tip, with their stamps [s]
+        self._errors: deque[tuple[float, Floats]] = deque(maxlen=MESSAGES_MAX)
 
         def verdict(message: String) -> None:
             self.verdict = json.loads(message.data)
@@ -160,16 +162,10 @@ class Director(Pilot):
         def keep(name: str) -> Callable[[Any], None]:
             return lambda message: setattr(self, name, message.data)
 
-        def sample(name: str, topic: str, values: Callable[[Any], Any], at: str = '') -> None:
-            def receive(message: Any) -> None:
-                samples.append((seconds(message.header.stamp), np.array(values(message))))
+        def error(message: Vector3Stamped) -> None:
+            self._errors.append((seconds(message.header.stamp), np.array(xyz(message.vector))))
 
-            samples = self._samples[name] = deque(maxlen=MESSAGES_MAX)
-            interface.subscribe(self, topic, receive, at)
-
-        sample('tip', 'measured_tip', lambda m: xyz(m.pose.position))
-        sample('error', 'monitor/error', lambda m: xyz(m.vector), 'monitor')
-        sample('tensions', 'tendon_states', lambda m: m.effort)
+        interface.subscribe(self, 'monitor/error', error, 'monitor')
         interface.subscribe(self, 'monitor/progress', keep('progress'), 'monitor', STATE)
         interface.subscribe(self, 'monitor/verdict', verdict, 'monitor')
         interface.subscribe(self, 'tour', keep('touring'))
@@ -183,7 +179,7 @@ class Director(Pilot):
                     raise TendonRobotError(f'the {node.name} has ended with code {code}')
             starting = self.status.get('code') in STARTING_CODES
             compares = self.statuses['monitor'].get('code') == 'comparing'
-            ready = self.has_listener and self.base and self._samples['error']
+            ready = self.has_listener and self.base and self._errors
             return not starting and compares and bool(ready)
 
         self.wait(up, WORK_TIMEOUT_S, 'controller, driver and monitor to start')
@@ -195,16 +191,17 @@ class Director(Pilot):
         Returns
         -------
         bool
-            Whether it was; `tip`, `error` and `tensions` are then of this posture.
+            Whether it was; `tip`, `error` and `commands` are then of this posture.
 
         """
+        self.clear()
         self._standing_since, stamp = np.inf, self.send(position, direction)
 
         def standing() -> bool:
             soon = time_now(self) + TIP_AVERAGE_S
             settled = self.settled(stamp)
             self._standing_since = min(self._standing_since, soon) if settled else np.inf
-            return self._measured_enough() or not self.touring
+            return len(self._standing()) >= MESSAGES_MIN or not self.touring
 
         at_rest = self.wait(standing, REACTION_TIMEOUT_S, 'the arm to stand', strict=False)
         return at_rest and self.touring
@@ -232,20 +229,13 @@ class Director(Pilot):
 
     def error(self) -> float:
         """Return the norm of the mean tip error [m] since the arm is at rest."""
-        return float(np.linalg.norm(self.mean('error')))
+        errors = self._standing()
+        return float(np.linalg.norm(np.mean(errors, axis=0))) if errors else float('nan')
 
-    def _standing(self, name: str) -> list[Floats]:
-        """Return the finite values since the arm is at rest, by their stamps."""
-        samples, since = self._samples[name], self._standing_since
-        return [value for at, value in samples if at > since and np.isfinite(value).all()]
-
-    def _measured_enough(self) -> bool:
-        return all(len(self._standing(name)) >= MESSAGES_MIN for name in self._samples)
-
-    def mean(self, name: str) -> Floats:
-        """Return the mean `tip` (3,) [m] or `tensions` (m,) [N] since the arm is at rest."""
-        values = self._standing(name)
-        return np.array(np.mean(values, axis=0)) if values else np.full(3, np.nan)
+    def _standing(self) -> list[Floats]:
+        """Return the finite tip errors since the arm is at rest, by their stamps."""
+        since = self._standing_since
+        return [error for at, error in self._errors if at > since and np.isfinite(error).all()]
 
 
 def play_as_text(director: Director, model: Model, story: Story, postures: int) -> None:
@@ -281,10 +271,10 @@ def play_as_text(director: Director, model: Model, story: Story, postures: int) 
         if not director.go(*stop):
             continue
         try:  # where the description before the addition has the tip
-            old = model.shape(np.maximum(director.mean('tensions'), 0.0)).tip_position
+            old = model.shape(director.commands()[1][-1]).tip_position
         except NoEquilibriumError:
             old = np.full(3, np.nan)
-        before.append(float(np.linalg.norm(director.mean('tip') - old)))
+        before.append(float(np.linalg.norm(director.tip()[0] - old)))
         after.append(director.error())
     if after:
         story.before, story.after = _rms(before), _rms(after)

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
 from functools import partial
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from rclpy.node import Node
@@ -31,29 +30,21 @@ from ..shared.parameters import Parameters, base_frame, read_config
 from ..shared.quality import COMMAND, JOINTS
 from ..shared.runtime import repeat
 
+# configuration of the tracker of the mock arm: default (a camera), smallest, largest, unit
+TRACKER = {
+    'rate': (30.0, 0.1, 1000.0, 'Hz'),
+    'noise': (0.0, 0.0, 10.0, 'm'),  # 1 sd
+    'seed': (0.0, 0.0, 2.0**32 - 1.0, '1'),
+    'missing': (0.0, 0.0, 1.0, '1'),  # fraction of markers that is not visible
+    'lost': (0.0, 0.0, 1.0, '1'),  # fraction of frames that is lost
+}
 
-@dataclass(frozen=True)
-class TrackerConfig:
-    """Configuration of the tracker of the mock arm; the defaults are a camera."""
 
-    rate: float = 30.0  # [Hz]
-    noise: float = 0.0  # [m] 1 sd
-    seed: float = 0.0
-    missing: float = 0.0  # [1] fraction of markers that is not visible
-    lost: float = 0.0  # [1] fraction of frames that is lost
-
-    @classmethod
-    def checked(cls, config: Mapping[str, Any]) -> Self:
-        """Read a mapping; unknown keys and impossible values are refused."""
-        top = ConfigFields('config', 'tracker', config)
-        top.only(*(field.name for field in fields(cls)))
-        return cls(
-            rate=top.value('rate', cls.rate, 0.1, 1000.0, 'Hz'),
-            noise=top.value('noise', cls.noise, 0.0, 10.0, 'm'),
-            seed=top.value('seed', cls.seed, 0.0, 2.0**32 - 1.0, '1'),
-            missing=top.value('missing', cls.missing, 0.0, 1.0, '1'),
-            lost=top.value('lost', cls.lost, 0.0, 1.0, '1'),
-        )
+def tracker_config(config: Mapping[str, Any]) -> dict[str, float]:
+    """Read the configuration of the tracker; DriverError: a key or a value is refused."""
+    top = ConfigFields('config', 'tracker', config)
+    top.only(*TRACKER)
+    return {key: top.value(key, *allowed) for key, allowed in TRACKER.items()}
 
 
 class MockTracker:
@@ -68,14 +59,14 @@ class MockTracker:
     ) -> None:
         """Create publishers and timer; DriverError: the configuration is refused."""
         self._node, self._driver = node, driver
-        self._config = TrackerConfig.checked(config)
-        self._random = np.random.default_rng(int(self._config.seed))
+        self._config = tracker_config(config)
+        self._random = np.random.default_rng(int(self._config['seed']))
         robot = driver.robot
         self._frame = base_frame(parameters, robot.name)
         self._arc_lengths = np.cumsum(robot.cell_lengths)
         self._tip = messages.passing_publisher(node, *interface.topic('measured_tip'))
         self._shape = messages.passing_publisher(node, *interface.topic('measured_shape'))
-        self._timer = repeat(node, 1.0 / self._config.rate, self._publish)
+        self._timer = repeat(node, 1.0 / self._config['rate'], self._publish)
 
     def close(self) -> None:
         """Destroy publishers and timer."""
@@ -90,7 +81,7 @@ class MockTracker:
         if (
             arm is None
             or not (tip_subscribed or shape_subscribed)
-            or self._random.random() < self._config.lost
+            or self._random.random() < self._config['lost']
         ):
             return
         header = messages.header_now(self._node, self._frame)
@@ -101,8 +92,8 @@ class MockTracker:
         # the frame of the tracker may be rotated
         ahead = self._driver.plant.tracked(ahead[None], arm.inputs[None])[0]
         along = ahead[1] - ahead[0]
-        positions = points + self._random.normal(0.0, self._config.noise, (n, 3))
-        positions[self._random.random(n) < self._config.missing] = np.nan
+        positions = points + self._random.normal(0.0, self._config['noise'], (n, 3))
+        positions[self._random.random(n) < self._config['missing']] = np.nan
         if shape_subscribed:
             self._shape.publish(messages.pose_array(header, positions))
         if tip_subscribed and np.isfinite(positions[-1]).all():
