@@ -30,6 +30,7 @@ from tendon_robot_ros.ros.driver.node import DriverNode
 from tendon_robot_ros.ros.shared.quality import COMMAND, LATCHED
 from tendon_robot_ros.ros.shared.runtime import (
     SIGNAL_ECHO_S,
+    Runnable,
     make_executor,
     on_end_request,
     ros,
@@ -268,21 +269,16 @@ def test_without_the_executor_of_events_the_old_one_serves(context, monkeypatch)
     executor.shutdown()
 
 
-class Failing:
+class Failing(Runnable):
     """A node whose timer fails."""
 
     def __init__(self):
-        self.node, self.ended = Node('failing'), False
-        self.node.create_timer(0.01, self.fail)
+        super().__init__('failing')
+        self.ended = False
+        self.create_timer(0.01, self.fail)
 
     def fail(self):
         raise ValueError('nobody foresaw this')
-
-    def start(self):
-        pass
-
-    def running(self):
-        return True
 
     def end(self):
         self.ended = True
@@ -297,25 +293,15 @@ def test_an_error_in_a_callback_ends_the_process_the_safe_way(context, capfd):
 
 ENDS = """
 import sys
-from rclpy.node import Node
-from tendon_robot_ros.ros.shared.runtime import run
+from tendon_robot_ros.ros.shared.runtime import Runnable, run
 
 
-class Quiet:
-    def __init__(self):
-        self.node = Node('quiet')
-
+class Quiet(Runnable):
     def start(self):
         print('runs', flush=True)
 
-    def running(self):
-        return True
 
-    def end(self):
-        pass
-
-
-code = run(Quiet, [])
+code = run(lambda: Quiet('quiet'), [])
 print('over', flush=True)
 sys.stdin.readline()
 sys.exit(code)

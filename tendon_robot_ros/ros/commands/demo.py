@@ -76,14 +76,14 @@ def main(arguments: Sequence[str]) -> int:
         pilot.connect(WORK_TIMEOUT_S)
         for posture in postures:
             outcomes.append(go(pilot, posture))
-            print(_row(posture, outcomes[-1]), flush=True)
-    draw(PICTURE, model, postures, outcomes)
+            print(outcomes[-1].row(), flush=True)
+    draw(PICTURE, model, outcomes)
     print(f'picture: {PICTURE}')
     missed = [
-        posture.name
-        for posture, outcome in zip(postures, outcomes, strict=True)
-        if posture is not unreachable
-        and (outcome.status != 'reached' or outcome.position_error > TRACKER_NOISE_M)
+        one.target.name
+        for one in outcomes
+        if one.target is not unreachable
+        and (one.status != 'reached' or one.position_error > TRACKER_NOISE_M)
     ]
     if missed:
         print(
@@ -94,28 +94,29 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _row(posture: Posture, outcome: Outcome) -> str:
-    x, _, z = 1e3 * outcome.position
-    error = f'{1e3 * outcome.position_error:.2f} mm {np.degrees(outcome.direction_error):.2f}°'
-    tensions = ' '.join(f'{value:.2f}' for value in outcome.tensions)
-    limits = f'  {", ".join(outcome.at_limit)} at its limit' if outcome.at_limit else ''
-    return (
-        f'{posture.name:20} {f"({x:7.1f}, {z:7.1f})":>22} {error:>18}   '
-        f'{tensions + limits:50} {outcome.status:9} {1e3 * outcome.latency:.1f} ms'
-    )
-
-
 @dataclass(frozen=True)
 class Outcome:
     """The result of a target."""
 
+    target: Posture
     position: Floats  # (3,) [m] of the mock's tip
     position_error: float  # [m] from the target
     direction_error: float  # [rad] between the directions
     tensions: Floats  # (m,) [N] commanded
     status: str
-    at_limit: tuple[str, ...]
+    at_limit: str
     latency: float  # [s] from sending the target to the first command that differs
+
+    def row(self) -> str:
+        """Return the row of the table."""
+        x, _, z = 1e3 * self.position
+        error = f'{1e3 * self.position_error:.2f} mm {np.degrees(self.direction_error):.2f}°'
+        tensions = ' '.join(f'{value:.2f}' for value in self.tensions)
+        limits = f'  {self.at_limit} at its limit' if self.at_limit else ''
+        return (
+            f'{self.target.name:20} {f"({x:7.1f}, {z:7.1f})":>22} {error:>18}   '
+            f'{tensions + limits:50} {self.status:9} {1e3 * self.latency:.1f} ms'
+        )
 
 
 def go(pilot: Pilot, posture: Posture) -> Outcome:
@@ -125,19 +126,18 @@ def go(pilot: Pilot, posture: Posture) -> Outcome:
     (place, along), (times, commands) = pilot.tip(), pilot.commands()
     changed = times[(commands != commands[0]).any(axis=1)]
     return Outcome(
+        target=posture,
         position=place,
         position_error=float(np.linalg.norm(place - posture.position)),
         direction_error=float(angle_between(along, posture.direction)),
         tensions=commands[-1],
         status=pilot.status['code'],
-        at_limit=tuple(filter(None, pilot.status['at_limit'].split(', '))),
+        at_limit=pilot.status['at_limit'],
         latency=float(changed[0] - sent) if len(changed) else np.inf,
     )
 
 
-def draw(
-    path: Path, model: Model, postures: Sequence[Posture], outcomes: Sequence[Outcome]
-) -> None:
+def draw(path: Path, model: Model, outcomes: Sequence[Outcome]) -> None:
     """Draw the arm in every posture, and its targets, in the x-z plane [mm]."""
     from matplotlib.figure import Figure
 
@@ -146,7 +146,8 @@ def draw(
     ends = np.cumsum(model.robot.cell_lengths)
     straight = np.outer(ends, [0.0, 0.0, 1.0])[None]
     plot_arms(straight, axes, linestyle=':', marker='', color=ERROR, label='straight')
-    for posture, outcome, color in zip(postures, outcomes, COLOURS, strict=False):
+    for outcome, color in zip(outcomes, COLOURS, strict=False):
+        posture = outcome.target
         label = f'{posture.name}: {1e3 * outcome.position_error:.2f} mm'
         arm = model.shape(outcome.tensions).positions[None]
         plot_arms(arm, axes, color=color, marker='o', markersize=3, label=label)

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseArray, TransformStamped
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -32,7 +31,7 @@ from ..shared.timing import STATUS_PERIOD_S
 HELP = 'show RViz and Foxglove the robot: URDF, joints, frames'
 
 
-class RobotModelNode(Runnable, Node):
+class RobotModelNode(Runnable):
     """Converts predicted shapes to joints and frames of the URDF."""
 
     def __init__(self) -> None:

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
-from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from ...common.errors import InputError
@@ -34,7 +33,7 @@ HELP = 'move the tip with the keyboard'
 KEPT_FROM_MOVING = 'stopped', 'driver_stopped', 'released', 'no_driver', 'not_ready'
 
 
-class TeleopNode(Runnable, Node):
+class TeleopNode(Runnable):
     """Converts keys to twists."""
 
     def __init__(self) -> None:

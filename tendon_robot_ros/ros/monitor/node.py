@@ -49,7 +49,7 @@ from .watching import Adapting, Watching
 HELP = 'compare the running robot with its model; record, diagnose, add what is missing'
 
 
-class MonitorNode(Runnable, Node):
+class MonitorNode(Runnable):
     """ROS interface of the monitor; a diagnosis runs in a child process."""
 
     # of the monitor, since there is one

@@ -209,9 +209,7 @@ def check_overrides(
     unknown = [name for name in unknown if not name.startswith(OF_ROS)]
     if not unknown:
         return
-    for_all = {
-        name for _, content in _files(arguments) for name in _sections(content).get(ALL, ())
-    }
+    for_all = {name for _, sections in _files(arguments) for name in sections.get(ALL, ())}
     of_any = set().union(*declared().values())
     for name in unknown:
         if name not in for_all & of_any:
@@ -245,8 +243,7 @@ def check_files(arguments: Sequence[str], node: str) -> list[str]:
 
     """
     warnings = []
-    for file, content in _files(arguments):
-        keys = list(_sections(content))
+    for file, keys in _files(arguments):
         # whether one matches this node, by the rules of rcl
         escaped = [re.escape(key) for key in keys]
         patterns = [e.replace(r'/\*\*', '(/.+)?').replace(r'\*', '[^/]+') for e in escaped]
@@ -260,12 +257,12 @@ def check_files(arguments: Sequence[str], node: str) -> list[str]:
     return warnings
 
 
-def _files(arguments: Sequence[str]) -> Iterator[tuple[str, Any]]:
-    """Yield path and content of the files of parameters among ROS arguments."""
+def _files(arguments: Sequence[str]) -> Iterator[tuple[str, dict[str, dict[str, Any]]]]:
+    """Yield path and sections of the files of parameters among ROS arguments."""
     for flag, file in pairwise(arguments):
         if flag == '--params-file':
             with contextlib.suppress(OSError, ValueError):  # rclpy has reported it
-                yield file, parse_yaml(Path(file).read_text(encoding='utf-8'))
+                yield file, _sections(parse_yaml(Path(file).read_text(encoding='utf-8')))
 
 
 def _sections(content: Any, before: str = '') -> dict[str, dict[str, Any]]:

@@ -23,7 +23,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import IO, Any, cast
+from typing import IO, Any
 
 import rclpy
 import rclpy.utilities
@@ -149,13 +149,8 @@ def on_end_request(action: Callable[[], object]) -> None:
         Ending.current.then(action)
 
 
-class Runnable:
-    """The interface that `run` expects of a node, inherited before the class of rclpy."""
-
-    @property
-    def node(self) -> Node:
-        """The node to spin: itself."""
-        return cast(Node, self)
+class Runnable(Node):
+    """A node as `run` expects it."""
 
     def start(self) -> None:
         """Start; called once before the first spin."""
@@ -267,7 +262,7 @@ def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = Fa
         code = 0
         try:
             runnable = make()
-            executor.add_node(runnable.node)
+            executor.add_node(runnable)
             ending.then(lambda: executor.create_task(lambda: None))  # ends its wait
             runnable.start()
             gc.freeze()  # imported objects stay: a collection need not scan them
@@ -285,8 +280,8 @@ def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = Fa
                     runnable.end()
                 except Exception:  # the end must go on
                     traceback.print_exc()
-                executor.remove_node(runnable.node)
-                runnable.node.destroy_node()
+                executor.remove_node(runnable)
+                runnable.destroy_node()
             executor.shutdown(timeout_sec=1.0)
             ending.over = bool(ending.signal)
     return code

@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseArray
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
@@ -50,7 +49,7 @@ SERVICES = {
 }
 
 
-class ViewerNode(Runnable, Node):
+class ViewerNode(Runnable):
     """Shows topics on the page; clicks become messages and service calls."""
 
     def __init__(self) -> None:
