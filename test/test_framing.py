@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.viewer.page import Picture, framed
 
 FOV = np.deg2rad(75.0)
@@ -45,13 +43,3 @@ def test_the_ball_in_which_an_arm_moves_fills_what_the_panel_leaves_free(width, 
     assert inside(places, free)
     share = np.ptp(places, axis=0) / [free[1] - free[0], free[3] - free[2]]
     assert share.max() > 0.97, 'no nearer view holds it'
-
-
-@pytest.mark.parametrize('width', WINDOWS)
-@pytest.mark.parametrize('name', ['spatial_3', 'spatial_6', 'kato_10_1'])
-def test_all_shapes_of_an_arm_are_in_sight(name, width):
-    width, height, free = WINDOWS[width]
-    model = Model(load_robot(name))
-    swept = model.library.positions.reshape(-1, 3)
-    view = framed(model.robot.length, Picture(FOV, width, height))
-    assert inside(seen(view, np.vstack([np.zeros(3), swept]), width, height), free)

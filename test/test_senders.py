@@ -223,17 +223,3 @@ def test_a_second_driver_is_named_by_all(robot):
     assert f'another publishes tendon_states: {own}/second' in last(robot.driver).message
     robot.until(lambda: '/second (process' in last(robot.controller).message, 'the controller')
     assert robot.code() == 'holding'  # with the first
-
-
-@pytest.mark.ros
-def test_a_person_at_the_command_line_does_not_take_the_arm(robot):
-    robot.run('driver')
-    robot.run('controller')
-    robot.until_code(robot.controller, 'holding', timeout=120.0)
-    robot.go_to_point(0.06, 0.17)
-    command = JointState(name=list(last(robot.commands).name), effort=[0.1] * 4)
-    for _ in range(100):
-        robot.send('tendon_command', command)
-        robot.spin(0.005)
-    assert f'ignores tendon_command of {robot.namespace}/station' in last(robot.driver).message
-    assert robot.tip() == pytest.approx([0.06, 0.0, 0.17], abs=1e-3)

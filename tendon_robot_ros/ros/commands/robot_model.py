@@ -19,14 +19,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from ...common.arrays import Floats
-from ...common.errors import TendonRobotError
 from ...robot import Robot, load_robot
 from ...robot.urdf import joint_angles, joint_names, transforms, urdf
 from ..shared import interface
 from ..shared.messages import matrix, quaternion, refilled
-from ..shared.parameters import Parameters, RemoteParameter
-from ..shared.runtime import Runnable, repeat, run
-from ..shared.timing import STATUS_PERIOD_S
+from ..shared.parameters import Parameters, watch_robot
+from ..shared.runtime import Runnable, run
 
 HELP = 'show RViz and Foxglove the robot: URDF, joints, frames'
 
@@ -40,7 +38,7 @@ class RobotModelNode(Runnable):
         self.parameters = Parameters(self, 'robot_model')
         controller = self.parameters['controller']
         self._robot: Robot | None = None
-        self._prefix, self._problem = '', ''
+        self._prefix = ''
         self._description = self.create_publisher(*interface.topic('robot_description'))
         self._joints = self.create_publisher(*interface.topic('cell_joint_states'))
         self._broadcaster: Any = None
@@ -49,35 +47,21 @@ class RobotModelNode(Runnable):
 
             self._broadcaster = TransformBroadcaster(self)
         interface.subscribe(self, 'controller/predicted_shape', self._shape, controller)
-        self._remote = RemoteParameter(self, controller, 'model')
         if self.parameters['robot']:
-            self._take(self.parameters['robot'])
+            self._take(load_robot(self.parameters['robot']))
         else:
-            repeat(self, STATUS_PERIOD_S, self._ask)
+            watch_robot(self, controller, self._take)
 
     def start(self) -> None:
         """Log it if no frames are published."""
         if self._broadcaster is None:
             self.get_logger().info('no tf2_ros, or publish_tf is false: frames are not published')
 
-    def _ask(self) -> None:
-        """Request the model of the controller once: its cells do not change at run time."""
-
-        def receive(text: str) -> None:
-            try:
-                self._take(text)
-            except (TendonRobotError, OSError) as error:
-                if str(error) != self._problem:
-                    self._problem = str(error)
-                    self.get_logger().error(f'the model of the controller: {error}')
-
+    def _take(self, robot: Robot) -> None:
+        """Use a robot, the first one: its cells do not change at run time."""
         if self._robot is None:
-            self._remote.ask(receive)
-
-    def _take(self, text: str) -> None:
-        robot = load_robot(text)
-        self._robot, self._prefix = robot, f'{self.parameters["frame_prefix"]}{robot.name}_'
-        self._description.publish(String(data=urdf(robot, self._prefix)))
+            self._robot, self._prefix = robot, f'{self.parameters["frame_prefix"]}{robot.name}_'
+            self._description.publish(String(data=urdf(robot, self._prefix)))
 
     def _shape(self, message: PoseArray) -> None:
         robot = self._robot

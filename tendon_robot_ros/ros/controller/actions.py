@@ -220,7 +220,6 @@ class Actions:
         """Create the servers of the action types that can be imported."""
         self._node = node
         self._active: list[ActiveGoal] = []
-        self.names: list[str] = []
         missing = {}
         for name, package, kind, make in OFFERED:
             try:
@@ -241,7 +240,6 @@ class Actions:
             self._active.append(ActiveGoal(server, kind, handle))
 
         server = CycledServer(self._node, kind.type, f'~/{name}', accepted)
-        self.names.append(name)
 
     def serve(self, now: float, core: ControllerCore, incoming: Incoming) -> None:
         """Start new goals, update the others, end finished ones; called once per cycle."""

@@ -31,9 +31,11 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from ...common.errors import InputError, TendonRobotError, suggestion
 from ...common.files import read_text, shared_file
 from ...common.yaml_reading import parse_yaml
+from ...robot import Robot, load_robot
 from ...robot.description import DESCRIPTION_MAX
 from .messages import Request
-from .runtime import given
+from .runtime import given, repeat
+from .timing import STATUS_PERIOD_S
 
 TABLE = Path(__file__).parent.parent / 'parameters.yaml'  # the parameters of all nodes
 TYPES = {  # type of a default -> type of ROS, and what a refusal expects
@@ -345,3 +347,18 @@ class RemoteParameter:
         if not self._set.ask(request, done):
             self._replaced = lambda: None
             answer(False, f'{self._other} does not answer: is it running?')
+
+
+def watch_robot(node: Node, controller: str, take: Callable[[Robot], object]) -> None:
+    """Have a function called every second with the robot of a controller, while that runs."""
+    remote = RemoteParameter(node, controller, 'model')
+
+    def receive(text: str) -> None:
+        try:
+            robot = load_robot(text)
+        except (TendonRobotError, OSError) as error:  # a file that is being written, for one
+            node.get_logger().warning(f'the model of the controller: {error}', once=True)
+        else:
+            take(robot)
+
+    repeat(node, STATUS_PERIOD_S, lambda: remote.ask(receive))

@@ -26,15 +26,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
-from ...common.errors import TendonRobotError
-from ...robot import load_robot
+from ...robot import Robot
 from ..shared import interface
 from ..shared.lifecycle import OK, Status
 from ..shared.messages import Request, header_now, point, points_of, status_values
-from ..shared.parameters import Parameters, RemoteParameter
+from ..shared.parameters import Parameters, watch_robot
 from ..shared.quality import STATE
 from ..shared.runtime import Runnable, repeat, run
-from ..shared.timing import STATUS_PERIOD_S
 from .page import LivePage
 from .state import PANEL_PERIOD_S, ViewState
 
@@ -72,23 +70,17 @@ class ViewerNode(Runnable):
             *interface.topic('controller/target_point', names['controller'])
         )
         self._tour = self.create_publisher(*interface.topic('tour'))
-        self._remote = RemoteParameter(self, names['controller'], 'model')
         self._triggers = {
             name: [Request(self, Trigger, f'{names[owner]}/{name}') for owner in owners]
             for name, owners in SERVICES.items()
         }
         repeat(self, 1.0 / self.parameters['rate'], self._cycle)
 
-        def model(text: str) -> None:
-            try:
-                robot = load_robot(text)
-            except (TendonRobotError, OSError) as error:  # a file that is being written, for one
-                self.get_logger().warning(f'the model of the controller: {error}', once=True)
-                return
+        def take(robot: Robot) -> None:
             self.state.limits = robot.tension_limits
             self.page.resize(robot.length)
 
-        repeat(self, STATUS_PERIOD_S, lambda: self._remote.ask(model))
+        watch_robot(self, names['controller'], take)
 
     def start(self) -> None:
         """Log the address of the page."""
