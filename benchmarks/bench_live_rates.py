@@ -84,7 +84,7 @@ class Watcher(bench_controller.Sender):
             self.send(step)
             step += 7
             self.spin(time.monotonic() + 0.3)
-        return float(self.said['viewer']['frames_per_second'])
+        return float(self.said['viewer']['frames (Hz)'])
 
 
 def nodes(

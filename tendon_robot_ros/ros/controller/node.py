@@ -255,7 +255,7 @@ class ControllerNode(StoppableNode):
         if (problem := self._measured.refused()) and core is not None:
             core.refusals['states'] = Refusal('length', problem)
         if core is None or self.phase != 'active':
-            self._idle(now)
+            self._idle()
             return
         self._reload(core)
         if self._actions is not None:
@@ -282,13 +282,10 @@ class ControllerNode(StoppableNode):
         with self._speaking:
             self._commands.publish(JointState(header=header_now(self)))
 
-    def _idle(self, now: float) -> None:
+    def _idle(self) -> None:
         """Publish that the node waits for a transition, in place of its last status."""
         if self._actions is not None:
             self._actions.drop('the controller is not active')
-        if now - self._status_at < NEWS_PERIOD_S:
-            return
-        self._status_at = now
         if self.phase == 'inactive':
             self.status.publish(LEVELS['warn'], 'off', 'not active: it commands nothing')
         elif not self.parameters['autostart']:
@@ -306,10 +303,9 @@ class ControllerNode(StoppableNode):
             message += f'; another publishes tendon_command: {controllers}' if controllers else ''
 
         def values() -> dict[str, str]:
-            model = {'model': self._loading.note} if self._loading.note else {}
             return {
                 **controller_values(core, now),
-                **model,
+                'model': self._loading.note,
                 'target_to_command (s)': f'{self._latency:.5f}',
                 'ignored': drivers,
                 'other_controllers': controllers,

@@ -219,7 +219,9 @@ class Pilot(Node):
     def parameter(self, name: str, node: str = '') -> Any:
         """Return a parameter, a text or a list of texts, of a node (default: the controller)."""
         node, values = node or self._controller, list[Any]()
-        remote = self._remotes.setdefault((node, name), RemoteParameter(self, node, name))
+        if (node, name) not in self._remotes:
+            self._remotes[node, name] = RemoteParameter(self, node, name)
+        remote = self._remotes[node, name]
 
         def answered() -> bool:
             remote.ask(values.append)

@@ -140,9 +140,8 @@ class LivePage:
         """Adapt the scene to another length [m]; `update` then places the cameras."""
         if size == self._size:
             return
-        for thing in (*self._lines.values(), self._measured):
-            if thing is not None:
-                thing.remove()
+        for thing in self._drawn.values():
+            thing.remove()
         self._size = size
         self._scene()
         self._boxes['legend'].content = page_parts.legend(self._square)
@@ -161,7 +160,7 @@ class LivePage:
             if errors is not None and len(errors):
                 self._line('error', errors)
             force = state.force_line(time.monotonic())
-            if force is not None or 'force' in self._lines:
+            if force is not None or 'force' in self._drawn:
                 self._line('force', np.zeros((1, 2, 3)) if force is None else force)
 
     def update(self, state: ViewState, now: float) -> None:
@@ -201,8 +200,7 @@ class LivePage:
         scene.add_grid(
             '/grid', width=whole, height=whole, cell_size=square, section_size=5.0 * square
         )
-        self._lines: dict[str, Any] = {}
-        self._measured: Any = None  # the tube
+        self._drawn: dict[str, Any] = {}  # the lines, and the tube
         self._target = scene.add_transform_controls(
             '/target',
             scale=0.22 * size,
@@ -216,13 +214,13 @@ class LivePage:
     def _line(self, name: str, segments: Floats) -> None:
         """Show segments (s, 2, 3) [m]; while their number stays, only the points are sent."""
         points = segments.astype(np.float32)
-        line = self._lines.get(name)
+        line = self._drawn.get(name)
         if line is not None and line.points.shape == points.shape:
             line.points = points
             return
         colour = rgb({'predicted': PREDICTED, 'error': ERROR, 'force': GOOD}[name])
         thickness = (MEASURED_WIDTH / 3.0 if name == 'predicted' else 0.004) * self._size
-        self._lines[name] = self._server.scene.add_line_segments(
+        self._drawn[name] = self._server.scene.add_line_segments(
             f'/{name}', points, colour, thickness=thickness, thickness_units='world'
         )
 
@@ -231,10 +229,11 @@ class LivePage:
         if len(nodes) < 2:
             return
         vertices = tube_vertices(nodes, 0.5 * MEASURED_WIDTH * self._size)
-        if self._measured is not None and self._measured.vertices.shape == vertices.shape:
-            self._measured.vertices = vertices
+        tube = self._drawn.get('measured')
+        if tube is not None and tube.vertices.shape == vertices.shape:
+            tube.vertices = vertices
             return
-        self._measured = self._server.scene.add_mesh_simple(
+        self._drawn['measured'] = self._server.scene.add_mesh_simple(
             '/measured',
             vertices,
             tube_faces(len(nodes)),

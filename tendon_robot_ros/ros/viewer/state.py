@@ -52,9 +52,6 @@ class ViewState:
     touring: bool = True
     held: bool = False  # the target is or was dragged
     nodes: dict[str, tuple[float, str, str, dict[str, str]]] = field(default_factory=dict)
-    _added: int = 0
-    _addition: str = ''
-    _diagnosing: str = ''
 
     def node(self, name: str) -> tuple[float, str, str, dict[str, str]]:
         """Return when the last status of a node came [s], its level, sentence and values."""
@@ -109,17 +106,13 @@ class ViewState:
         self, now: float, name: str, level: int, text: str, values: dict[str, str]
     ) -> None:
         """Update the status of a node."""
-        known = LEVEL_NAMES[level] if level < len(LEVEL_NAMES) else 'warn'
+        known, before = LEVEL_NAMES[level] if level < len(LEVEL_NAMES) else 'warn', self.monitor
         self.nodes[name] = now, known, text, values
         if name == 'monitor':
-            if values.get('diagnosing') == 'true' and self._diagnosing != 'true':
+            if values.get('diagnosing') == 'true' and before.get('diagnosing') != 'true':
                 self.verdict = {}
-            self._diagnosing = values.get('diagnosing', '')
-            self._addition = values.get('addition', '') or self._addition
-            added = int(values.get('added', '0'))
-            if added > self._added:
-                self.marks.append((now, self._addition))
-            self._added = added
+            if int(values.get('added', '0')) > int(before.get('added', '0')):
+                self.marks.append((now, before.get('addition', '')))
 
     def add_error(self, now: float, rolling: float) -> None:
         """Append a rolling error [m] to the curve."""
