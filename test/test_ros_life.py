@@ -167,29 +167,22 @@ def change(space, node, transition):
 
 
 def test_without_autostart_the_transitions_are_those_of_ros(space):
-    space.run('driver', autostart=False)
-    space.until_code(space.driver, 'unconfigured')
-    assert change(space, 'driver', Transition.TRANSITION_CONFIGURE)
-    space.until_code(space.driver, 'off')
-    assert change(space, 'driver', Transition.TRANSITION_ACTIVATE)
-    space.until_code(space.driver, 'following', 'releasing', 'released')
+    heard = {'driver': space.driver, 'controller': space.controller}
+    active = {'driver': ('following', 'releasing', 'released'), 'controller': ('holding',)}
+    for node, said in heard.items():
+        space.run(node, autostart=False)
+        space.until_code(said, 'unconfigured')
+        assert change(space, node, Transition.TRANSITION_CONFIGURE)
+        space.until_code(said, 'off')
+        assert change(space, node, Transition.TRANSITION_ACTIVATE)
+        space.until_code(said, *active[node])
+    assert change(space, 'controller', Transition.TRANSITION_DEACTIVATE)
+    space.until_code(space.controller, 'off')
     assert change(space, 'driver', Transition.TRANSITION_DEACTIVATE)
     space.until_code(space.driver, 'stopped')
     assert 'the node is not active' in last(space.driver).message
     assert change(space, 'driver', Transition.TRANSITION_CLEANUP)
     assert change(space, 'driver', Transition.TRANSITION_CONFIGURE)
-
-
-def test_a_controller_that_is_not_active_says_so(space):
-    space.run('driver')
-    space.run('controller', autostart=False)
-    space.until_code(space.controller, 'unconfigured')
-    assert change(space, 'controller', Transition.TRANSITION_CONFIGURE)
-    space.until_code(space.controller, 'off')
-    assert change(space, 'controller', Transition.TRANSITION_ACTIVATE)
-    space.until_code(space.controller, 'holding')
-    assert change(space, 'controller', Transition.TRANSITION_DEACTIVATE)
-    space.until_code(space.controller, 'off')
 
 
 @pytest.mark.parametrize(

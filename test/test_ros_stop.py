@@ -88,20 +88,6 @@ def test_a_publisher_of_any_kind_stops_both(running, panels, reliability, durabi
     running.until(lambda: max(last(running.states).effort) < LOW + 0.01, 'pretension')
 
 
-@pytest.mark.parametrize(('reliability', 'durability'), KINDS)
-def test_a_target_of_any_kind_is_heard(running, reliability, durability):
-    running.go_to_point(0.0, 0.2)
-    qos = QoSProfile(depth=10, reliability=reliability, durability=durability)
-    person = running.node.create_publisher(PointStamped, 'controller/target_point', qos)
-
-    def there():
-        person.publish(point(0.05, 0.18))  # best effort may be lost before they know each other
-        return running.tip() == pytest.approx([0.05, 0.0, 0.18], abs=1e-3)
-
-    running.until(there, 'the arm')
-    running.node.destroy_publisher(person)
-
-
 def test_every_topic_that_a_person_may_write_to_hears_publishers_of_any_kind(running):
     """A best-effort, volatile subscription without deadlines hears all of them."""
     written = {
