@@ -57,7 +57,7 @@ def test_a_single_reading_that_a_load_cell_misses_does_not_hide_the_force_of_the
     watching = SimpleNamespace(
         _drift=False,
         _monitor=SimpleNamespace(states=states),
-        _period=0.0,
+        _due=0.0,
         _frames=FrameMean(1e-4, 0.01, 3.0),
         _is_due=lambda: True,
         _publish=lambda tensions, *_: told.append(tensions),

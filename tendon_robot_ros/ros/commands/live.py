@@ -31,6 +31,7 @@ from ...common.errors import MissingExtraError, NoEquilibriumError, TendonRobotE
 from ...common.words import COMPILING, mm
 from ...control.loading import load
 from ...effects import load_catalogue
+from ...inference.statistics import rms
 from ...model.compile import is_compiled
 from ...model.model import Model
 from ...robot import Robot, dump_robot
@@ -227,10 +228,9 @@ class Director(Pilot):
 
         return self.wait(uses, MOVE_TIMEOUT_S, 'the reload', strict=False)
 
-    def error(self) -> float:
-        """Return the norm of the mean tip error [m] since the arm is at rest."""
-        errors = self._standing()
-        return float(np.linalg.norm(np.mean(errors, axis=0))) if errors else float('nan')
+    def error(self) -> Floats:
+        """Return the mean tip error (3,) [m] since the arm is at rest; nan: there is none."""
+        return np.array(np.mean(self._standing() or [np.full(3, np.nan)], axis=0))
 
     def _standing(self) -> list[Floats]:
         """Return the finite tip errors since the arm is at rest, by their stamps."""
@@ -250,7 +250,8 @@ def play_as_text(director: Director, model: Model, story: Story, postures: int) 
     for stop in tour(model, postures, 0):
         if director.record(*stop):
             errors.append(director.error())
-    shown = f'{mm(_rms(errors))} rms, {mm(max(errors))} at worst' if errors else 'unknown'
+    worst = mm(max(map(np.linalg.norm, errors), default=np.nan))
+    shown = f'{mm(rms(np.array(errors)))} rms, {worst} at worst' if errors else 'unknown'
     print(f'{director.recorded} postures recorded   tip error {shown}')
     print(director.triggered('monitor/diagnose'), flush=True)
     director.wait(lambda: director.verdict, WORK_TIMEOUT_S, 'the verdict')
@@ -274,10 +275,10 @@ def play_as_text(director: Director, model: Model, story: Story, postures: int) 
             old = model.shape(director.commands()[1][-1]).tip_position
         except NoEquilibriumError:
             old = np.full(3, np.nan)
-        before.append(float(np.linalg.norm(director.tip()[0] - old)))
+        before.append(director.tip()[0] - old)
         after.append(director.error())
     if after:
-        story.before, story.after = _rms(before), _rms(after)
+        story.before, story.after = rms(np.array(before)), rms(np.array(after))
 
 
 def investigate(director: Director, story: Story, folder: Path) -> None:
@@ -293,7 +294,3 @@ def investigate(director: Director, story: Story, folder: Path) -> None:
     if findings.addition is not None and findings.diagnosis is not None:
         story.added = director.takes([effect.name for effect in findings.diagnosis.effects])
         story.before, story.after = findings.addition.check.before, findings.addition.check.after
-
-
-def _rms(values: Sequence[float]) -> float:
-    return float(np.sqrt(np.nanmean(np.square(values))))

@@ -22,7 +22,7 @@ from trajectory_msgs.msg import JointTrajectory
 from ...common.arrays import Floats
 from ...common.colours import PREDICTED
 from ...control import Refusal, Target, Twist
-from ...control.inputs import Trajectory, by_name, check_frame, direction, finite, position
+from ...control.inputs import Trajectory, by_name, direction, finite, position
 from ...data.tracker_faults import is_missing
 from ...model.model import Model
 from ...model.shape import Shape
@@ -84,12 +84,7 @@ class Incoming:
         if frame == self.tip:
             self._fresh(message.header, what)
         else:
-            try:
-                axes, _ = self._to_base(message.header, what)
-            except Refusal as refusal:
-                if refusal.code == 'frame':
-                    check_frame(frame, [self.base, self.tip], what)
-                raise
+            axes, _ = self._to_base(message.header, what, self.tip)
         linear, angular = map(messages.xyz, (message.twist.linear, message.twist.angular))
         values = finite([*linear, *angular], what)
         if np.abs(values[:3]).max() > 1.0 or np.abs(values[3:]).max() > 10.0:
@@ -149,9 +144,9 @@ class Incoming:
         place = rotation @ finite(messages.xyz(point), what) + shift
         return position(place.tolist(), self._farthest, what), rotation
 
-    def _to_base(self, header: Header, what: str) -> tuple[Floats, Floats]:
+    def _to_base(self, header: Header, what: str, *others: str) -> tuple[Floats, Floats]:
         """Return rotation and translation of a message to the base; Refusal: stale, or no TF."""
-        return self._frames.of(header, what, self._parameters['stamp_tolerance'])
+        return self._frames.of(header, what, self._parameters['stamp_tolerance'], *others)
 
     def _fresh(self, header: Header, what: str) -> None:
         """Refuse a stamp that is too old, or in the future."""

@@ -48,7 +48,7 @@ class Watching:
         self._drift = parameters['reference_postures'] > 0.0
         rate = parameters['force_rate']
         self._period = 1.0 / rate if rate > 0.0 else np.inf
-        self._due = 0.0
+        self._due = 0.0 if rate > 0.0 else np.inf  # [s]
         self.contact: Contact | None = None
         self._reaction = ''  # to the present contact
         self._exceeded = False  # by the last estimate: a single one may be wrong
@@ -59,13 +59,10 @@ class Watching:
         topics = 'monitor/tip_force', 'monitor/tip_force_covariance', 'monitor/contact'
         self._send = {
             name: node.create_publisher(*interface.topic(name)).publish
-            for name in (*topics, 'monitor/markers', 'monitor/drift')
+            for name in (*topics, 'monitor/markers', 'monitor/drift', 'stop')
         }
         held = interface.topic('controller/tendon_trajectory', parameters['controller'])
-        self._send |= {
-            'stop': node.create_publisher(*interface.topic('stop')).publish,
-            'hold': node.create_publisher(*held).publish,
-        }
+        self._send['hold'] = node.create_publisher(*held).publish
         self._published = ''
 
     def set_model(self, model: Model) -> None:
@@ -110,7 +107,7 @@ class Watching:
             self.watch.update(still.inputs, still.positions, still.frames)
             self._publish_state()
         state = self._monitor.states.at(at)
-        if state is None or not np.isfinite(self._period):
+        if state is None or self._due == np.inf:
             return
         tensions, _ = np.split(state, 2)
         if not np.isfinite(tensions).all():  # it would hide the force as long as it is averaged
@@ -133,7 +130,7 @@ class Watching:
         if now < self._due:
             return False
         self._due = now + self._period
-        return bool(np.isfinite(self._period))
+        return True
 
     def _publish(
         self, tensions: Floats, positions: Floats | None, pulls: Floats | None, frames: int = 1

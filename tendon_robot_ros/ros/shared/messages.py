@@ -215,7 +215,9 @@ class Frames:
             self._buffer = Buffer()
             self._listener = TransformListener(self._buffer, node)
 
-    def of(self, header: Header, what: str, tolerance: float) -> tuple[Floats, Floats]:
+    def of(
+        self, header: Header, what: str, tolerance: float, *others: str
+    ) -> tuple[Floats, Floats]:
         """
         Return rotation (3, 3) and translation (3,) [m] of a message to the base frame.
 
@@ -227,6 +229,8 @@ class Frames:
             Name of the message.
         tolerance : float
             Largest age of the message and of a transform [s]; a static one has no age.
+        others : str
+            Frames that would do besides the base, for the refusal.
 
         Raises
         ------
@@ -245,7 +249,7 @@ class Frames:
                 newest = self._buffer.lookup_transform(self.base, frame, of_then)
             transform = newest.transform
         except Exception:  # no buffer, or whatever tf2 raises: no transform
-            check_frame(frame, [self.base], what)
+            check_frame(frame, [self.base, *others], what)
             raise Refusal('frame', f'{what}: frame {cut(frame)!r} is not usable') from None
         age = (stamp or now) - at
         if at > 0.0 and age > tolerance:
