@@ -173,8 +173,7 @@ class _Axes:
                 f'<text x="{self.left + 4}" y="{zero - 4:.1f}" fill="{INK}" '
                 'stroke="#fff" stroke-width="3" paint-order="stroke">repeatability</text>'
             )
-        step = 10.0 ** np.floor(np.log10(self.top / 2.0))
-        step *= next(f for f in (1, 2, 5, 10) if self.top / (f * step) <= 4.5)
+        step = round_length(self.top / 2.0)
         for i in range(int(self.top / step) + 1):
             tick = self.y(i * step)
             parts.append(
@@ -266,7 +265,7 @@ def statuses(nodes: Mapping[str, tuple[str, str]]) -> str:
 
 
 def round_length(length: float) -> float:
-    """Return the largest of 1, 2, 5, 10, ... up to a length [m]."""
+    """Return the largest of 1, 2, 5, 10, ... up to a length [m], or [mm]."""
     power = 10.0 ** math.floor(math.log10(length))
     return power * next(step for step in (5.0, 2.0, 1.0) if step * power <= 1.0001 * length)
 
