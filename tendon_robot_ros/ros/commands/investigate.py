@@ -96,13 +96,11 @@ class RunningArm(Pilot):
 
     Parameters
     ----------
-    controller, monitor : str
-        Names of the nodes.
+    args : argparse.Namespace
+        Of the command: the names of the nodes, `path`, and the `speed` of an input in fractions of
+        its largest tension per second [1/s].
     ending : Ending
     namespace : str, optional
-    path : str
-    speed : float
-        Of an input, in fractions of its largest tension per second [1/s].
 
     """
 
@@ -112,18 +110,12 @@ class RunningArm(Pilot):
     input_noise = MonitorSettings().setting_noise, 0.0  # relative and absolute 1 sd of an input
 
     def __init__(
-        self,
-        controller: str,
-        monitor: str,
-        ending: Ending,
-        namespace: str | None = None,
-        path: str = 'from_straight',
-        speed: float = SPEED,
+        self, args: argparse.Namespace, ending: Ending, namespace: str | None = None
     ) -> None:
         """Create publishers and subscriptions."""
-        super().__init__('investigate', ending, controller, namespace, (DRIVER, monitor))
-        self.path, self.stop_requested = path, False
-        self._monitor, self.speed = monitor, speed
+        super().__init__('investigate', ending, args.controller, namespace, (DRIVER, args.monitor))
+        self.path, self.stop_requested = args.path, False
+        self._monitor, self.speed = args.monitor, args.speed
         self._frames: list[tuple[float, Floats]] = []
         self._states, self._kinds = History(8.0), set[str]()
 
@@ -141,7 +133,7 @@ class RunningArm(Pilot):
             if np.isfinite(self._own_half(state)).all():
                 self._states.put(seconds(message.header.stamp), state)
 
-        interface.subscribe(self, 'monitor/measured', frame, monitor, STATE)
+        interface.subscribe(self, 'monitor/measured', frame, args.monitor, STATE)
         interface.subscribe(self, 'tendon_states', states)
         self.input = 'tension'
         self._variances: list[float] = []  # [m²] of the mean positions so far
@@ -358,10 +350,7 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     if not 0.001 <= args.speed <= 100.0:
         raise InputError(f'--speed: expected 0.001 to 100, got {args.speed:g}')
     regions = load_keep_out(args.keep_out) if args.keep_out else KeepOut()
-    with (
-        ros(ros_arguments) as ending,
-        RunningArm(args.controller, args.monitor, ending, None, args.path, args.speed) as arm,
-    ):
+    with ros(ros_arguments) as ending, RunningArm(args, ending) as arm:
         investigator = Investigator(arm, args, regions)
         if args.wait:
             investigator.serve()

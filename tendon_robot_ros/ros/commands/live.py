@@ -286,9 +286,7 @@ def investigate(director: Director, story: Story, folder: Path) -> None:
     parser = argparse.ArgumentParser()
     investigation.add_arguments(parser)
     args = parser.parse_args([*INVESTIGATION, str(folder / 'found')])
-    with investigation.RunningArm(
-        'controller', 'monitor', director.ending, director.get_namespace(), speed=args.speed
-    ) as arm:
+    with investigation.RunningArm(args, director.ending, director.get_namespace()) as arm:
         findings = investigation.Investigator(arm, args, KeepOut()).once(Path(args.output), False)
     story.verdict = {} if findings.diagnosis is None else findings.diagnosis.to_json()
     if findings.addition is not None and findings.diagnosis is not None:
