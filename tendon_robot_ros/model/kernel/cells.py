@@ -56,17 +56,10 @@ def twist_in(chain, state, i):
 def turned_axes(f, angle):
     """Frame (9,) turned about its own z."""
     c, s = math.cos(angle), math.sin(angle)
-    return (
-        c * f[0] + s * f[1],
-        c * f[1] - s * f[0],
-        f[2],
-        c * f[3] + s * f[4],
-        c * f[4] - s * f[3],
-        f[5],
-        c * f[6] + s * f[7],
-        c * f[7] - s * f[6],
-        f[8],
-    )
+    ax, ay, az, _ = twist_row((f[0], f[1], f[2], 0.0), c, s)
+    bx, by, bz, _ = twist_row((f[3], f[4], f[5], 0.0), c, s)
+    cx, cy, cz, _ = twist_row((f[6], f[7], f[8], 0.0), c, s)
+    return ax, ay, az, bx, by, bz, cx, cy, cz
 
 
 @inlined

@@ -318,23 +318,18 @@ def take_over(chain, bend, work, move, own, width, longest, shrink):
 @compiled
 def exchange(chain, work, own):
     """Put the eyelets' own travel into `work`; keep the real one in own[2:], and the lag."""
-    travel, beyond, lag = floats(work.travel), floats(work.beyond), floats(work.lag)
-    count = chain.n * chain.k
-    for i in range(chain.n):
-        for k in range(chain.k):
-            at = chain.k * i + k
-            own[2, i, k], own[3, i, k] = travel[at], beyond[at]
-            lag[at], lag[at + count] = travel[at] - own[0, i, k], beyond[at] - own[1, i, k]
-            travel[at], beyond[at] = own[0, i, k], own[1, i, k]
+    travel, lag, count = floats(work.travel), floats(work.lag), 2 * chain.n * chain.k
+    taken, real = floats(address(own)), floats(address(own) + 8 * count)
+    for j in range(count):  # behind the travel lies that beyond
+        real[j], lag[j], travel[j] = travel[j], travel[j] - taken[j], taken[j]
 
 
 @compiled
 def own_travel(chain, bend, work):
     """Start with the travel that a state gives: (4, n, k) [m], see `take_over`."""
-    own, count = np.zeros((4, chain.n, chain.k)), chain.n * chain.k
+    own = np.zeros((4, chain.n, chain.k))
     chain.place_travel(chain, bend, work)
-    copy(work.travel, address(own), count)
-    copy(work.beyond, address(own) + 8 * count, count)
+    copy(work.travel, address(own), 2 * chain.n * chain.k)  # and that beyond, behind it
     return own
 
 

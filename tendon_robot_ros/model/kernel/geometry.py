@@ -50,28 +50,15 @@ def bent_path(chain, i, radial, bend, sin_half, cos_half):
 
 
 @compiled
-def leaning_tendon(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist):
+def leaning_tendon(chain, i, k, turning, scale, twist):
     """
     Path lost by tendon k, which leans (see `cells`), in cell i, and its moment arms [m].
 
     The chord between its eyelets: what the bend leaves of the cell's length along the chord of
     the backbone, and across it the line from one offset to the other, seen from half the bend.
-
-    Parameters
-    ----------
-    bend : float
-        Size of the cell's bend [rad].
-    ux, uy : float
-        Its direction, of length one.
-    sin_half, cos_half : float
-        Of half the bend.
-    scale : float
-        Factor on the tendon offsets [1].
-    twist : float
-        Of the cell [rad].
-
+    `straight_tendon` says what it takes.
     """
-    at = chain.k * i + k
+    at, (bend, ux, uy, sin_half, cos_half) = chain.k * i + k, turning
     offset = floats(chain.offset + 16 * at)
     helix = floats(chain.helix)[at] if chain.helix != 0 else 0.0
     rx, ry = scale * offset[0], scale * offset[1]
@@ -94,7 +81,7 @@ def leaning_tendon(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist):
 
 
 @fused
-def straight_tendon(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist):
+def straight_tendon(chain, i, k, turning, scale, twist):
     """
     Path that tendon k loses in cell i [m], its moment arms along the bend, across it, about.
 
@@ -102,18 +89,15 @@ def straight_tendon(chain, i, k, bend, ux, uy, sin_half, cos_half, scale, twist)
 
     Parameters
     ----------
-    bend : float
-        Size of the cell's bend [rad].
-    ux, uy : float
-        Its direction, of length one.
-    sin_half, cos_half : float
-        Of half the bend.
+    turning : tuple of float
+        The cell's bend as `polar` returns it.
     scale : float
         Factor on the tendon offsets [1].
     twist : float
         Of the cell [rad].
 
     """
+    bend, ux, uy, sin_half, cos_half = turning
     offset = floats(chain.offset + 16 * (chain.k * i + k))
     radial = scale * (offset[0] * ux + offset[1] * uy)
     lost, along, across = bent_path(chain, i, radial, bend, sin_half, cos_half)
@@ -125,14 +109,13 @@ def add_moments(chain, i, x, y, twist, tensions, scale, path_lost):
     """Moment (x, y, about) [N·m] of tensions (k,) [N] on cell i with bend (x, y) and twist."""
     tendon = words(chain.tendon)
     s, c = half_turn(x * x + y * y)
-    a, ux, uy, sin_half, cos_half = polar(x, y, s, c)
+    turning = polar(x, y, s, c)
+    _, ux, uy, _, _ = turning
     mx, my, mz = 0.0, 0.0, 0.0
     for k in range(chain.k):
         t = floats(tensions)[k]
         if i < tendon[2 * k] and t != 0.0:
-            _, along, side, about = path_lost(
-                chain, i, k, a, ux, uy, sin_half, cos_half, scale, twist
-            )
+            _, along, side, about = path_lost(chain, i, k, turning, scale, twist)
             mx += t * (along * ux - side * uy)
             my += t * (along * uy + side * ux)
             mz += t * about
@@ -158,28 +141,24 @@ def fill_travel(chain, i, x, y, s, c, twist, scale, work, path_lost):
     """
     travel, tendon = floats(work.travel), words(chain.tendon)
     moment_arms = floats(work.moment_arms)
-    a, ux, uy, sin_half, cos_half = polar(x, y, s, c)
+    turning = polar(x, y, s, c)
+    _, ux, uy, _, _ = turning
     for k in range(chain.k):
         at = chain.k * i + k
         if i >= tendon[2 * k]:
             travel[at] = 0.0
             continue
-        lost, along, side, about = path_lost(
-            chain, i, k, a, ux, uy, sin_half, cos_half, scale, twist
-        )
-        travel[at] = lost
+        travel[at], along, side, about = path_lost(chain, i, k, turning, scale, twist)
         floats(work.axial)[at] = about
         moment_arms[2 * at] = along * ux - side * uy
         moment_arms[2 * at + 1] = along * uy + side * ux
     x0, y0 = stages.rest(0.0, 0.0, chain, section_of(chain, i))
     if x0 != 0.0 or y0 != 0.0:
         s, c = half_turn(x0 * x0 + y0 * y0)
-        a, ux, uy, sin_half, cos_half = polar(x0, y0, s, c)
+        turning = polar(x0, y0, s, c)
         for k in range(chain.k):
-            if a > 0.0 and i < tendon[2 * k]:
-                travel[chain.k * i + k] -= path_lost(
-                    chain, i, k, a, ux, uy, sin_half, cos_half, scale, 0.0
-                )[0]
+            if turning[0] > 0.0 and i < tendon[2 * k]:
+                travel[chain.k * i + k] -= path_lost(chain, i, k, turning, scale, 0.0)[0]
 
 
 @entry()

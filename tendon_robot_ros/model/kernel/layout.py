@@ -23,6 +23,7 @@ from numba.extending import intrinsic, register_jitable
 from tendon_robot_ros.model.compile import BEND_TOLERANCE as BEND_TOLERANCE
 from tendon_robot_ros.model.compile import GAP_ACCEPTED_M as GAP_ACCEPTED_M
 from tendon_robot_ros.model.compile import LEAST_TENSION_N as LEAST_TENSION_N
+from tendon_robot_ros.model.compile import MODULES
 
 from .linking import EntryCompiler, LawCompiler, PartCompiler, record_type
 
@@ -72,13 +73,8 @@ NONE = ~ZERO  # no index, -1
 # beside: whether weight lies beside the axis (1) or none does (0).
 # radius: largest distance of a tendon from the centroid [m]
 # step and all behind it: addresses of these functions, 0 where nothing acts that calls them
-Chain = namedtuple(
-    'Chain',
-    'n k m wide cells offset tendon values on gravity radius helix beside '
-    'step prepare place_travel balance residual respond newton solve_equilibrium march '
-    'load_moments flat_moments bow_cells load_slopes descend pushes push_slopes leaning_travel '
-    'leaning_slopes remembered ramped',
-)
+CHAIN_DATA = 'n k m wide cells offset tendon values on gravity radius helix beside'.split()
+Chain = namedtuple('Chain', [*CHAIN_DATA, 'step', *MODULES])  # type: ignore[misc]
 # Length [m], bending stiffness [N·m/rad], mass profile times length [m], whether it is a hinge
 # (1), index of its section, number of tendons in it, where its weight lies beside the axis [m].
 CELL_COLUMNS = 'LENGTH STIFFNESS MASS HINGE SECTION PRESENT MASS_X MASS_Y'.split()

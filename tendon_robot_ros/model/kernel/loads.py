@@ -278,11 +278,11 @@ def cell_moment(chain, i, x, y, s, c, loads, reach, bow, general):
     mx, my, middle, over = middle_moment(
         x, y, s, c, loads, reach, cell(chain, i, layout.HINGE), bow
     )
-    if not general:
-        return mx, my, middle, over
-    beside = (cell(chain, i, layout.MASS_X), cell(chain, i, layout.MASS_Y))
-    ox, oy, arm = beside_moment(x, y, s, c, loads[2], beside)
-    return mx + ox, my + oy, plus(middle, arm), over
+    if general:
+        beside = (cell(chain, i, layout.MASS_X), cell(chain, i, layout.MASS_Y))
+        ox, oy, arm = beside_moment(x, y, s, c, loads[2], beside)
+        mx, my, middle = mx + ox, my + oy, plus(middle, arm)
+    return mx, my, middle, over
 
 
 @contracted
