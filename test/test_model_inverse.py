@@ -97,9 +97,22 @@ def test_what_is_no_target_is_refused(model, position, direction):
 def test_a_search_without_a_place_to_start_from_is_refused(model):
     with pytest.raises(InputError, match='starts: expected a whole number from 1 on, got 0'):
         model.reach([0.0, 0.0, 0.1], starts=0)
-    other = Model(load_robot(ROBOTS / 'kato_10_1_single.yaml'))
-    with pytest.raises(InputError, match='guess: expected a Shape of this robot'):
-        model.reach([0.0, 0.0, 0.1], guess=other.shape([0.1, 0.2]))
+
+
+def test_a_shape_of_another_robot_is_refused_wherever_one_is_taken(model):
+    tensions = model.limits[:, 0]
+    other = Model(load_robot(ROBOTS / 'kato_10_1_single.yaml')).shape([0.1, 0.2])
+    for call in (
+        lambda: model.reach([0.0, 0.0, 0.1], guess=other),
+        lambda: model.pull_shape(0.0 * tensions, other),
+        lambda: model.follow_pulls(other, 0.0 * tensions),
+        lambda: model.follow(other, tensions),
+        lambda: model.tip_stiffness(other),
+    ):
+        with pytest.raises(InputError, match=r'(guess|last|shape): expected a Shape of this'):
+            call()
+    with pytest.raises(InputError, match='guess: expected the bends or the state of 30 cells'):
+        model.shape(tensions, other.state)
 
 
 def test_by_pulls_the_tensions_are_those_that_lengths_hold():

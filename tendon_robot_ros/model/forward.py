@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
-from ..common.errors import NoEquilibriumError
+from ..common.errors import NoEquilibriumError, refusal
 from ..effects import STAGES, CatalogueLike, load_catalogue
 from ..robot import RobotLike, load_robot
 from ..robot.estimates import natural_sizes
@@ -178,6 +178,8 @@ class ForwardModel:
             block[: form.m] = self.tensions(tensions)
         if guess is not None:
             flat = np.asarray(guess, float).reshape(-1)
+            if len(flat) not in (2 * form.n, 3 * form.n):
+                raise refusal('guess', f'the bends or the state of {form.n} cells', guess)
             block[form.m : form.m + len(flat)] = flat  # the state follows the inputs
         if memory is not None:
             block[form.size :] = memory
@@ -205,7 +207,7 @@ class ForwardModel:
         """
         if last is None:
             return self.shape(tensions)
-        past = last.memory
+        past = self.own_shape('last', last).memory
         try:
             return self.shape(tensions, last.state, past)
         except NoEquilibriumError as error:
@@ -216,6 +218,12 @@ class ForwardModel:
             except NoEquilibriumError:
                 continue
         raise stalled
+
+    def own_shape(self, name: str, given: object) -> Shape:
+        """Return a shape of this robot that a caller gives; refuse all else."""
+        if not (isinstance(given, Shape) and given.form.fields == self.form.fields):
+            raise refusal(name, 'a Shape of this robot', given)
+        return given
 
     def shapes(self, tensions: npt.ArrayLike, guesses: Floats | None = None) -> ShapeBatch:
         """

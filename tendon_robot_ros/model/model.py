@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
-from ..common.errors import refusal, whole
+from ..common.errors import whole
 from ..robot.inputs import TensionsLike
 from ..robot.keep_out import KeepOut
 from .derivatives import Column, Output, TipStiffness, derivatives, tip_slopes, tip_stiffness
@@ -121,10 +121,8 @@ class Model(ForwardModel):
 
         """
         refuse_other_unit(self.robot, position)
-        if guess is not None and not (
-            isinstance(guess, Shape) and guess.form.fields == self.form.fields
-        ):
-            raise refusal('guess', 'a Shape of this robot', guess)
+        if guess is not None:
+            self.own_shape('guess', guess)
         task = replace(
             TipTask.at(self, position, direction, memory=memory),
             guess=guess,
@@ -136,7 +134,7 @@ class Model(ForwardModel):
 
     def tip_stiffness(self, shape: Shape, wires_held: bool = False) -> TipStiffness:
         """Return the compliance of the tip under a force; see `derivatives.tip_stiffness`."""
-        return tip_stiffness(self, shape, wires_held)
+        return tip_stiffness(self, self.own_shape('shape', shape), wires_held)
 
     def pull_shape(
         self, pulls: TensionsLike, guess: Shape | None = None, memory: Floats | None = None

@@ -65,7 +65,10 @@ def pull_shape(
 
 def held_shape(model: ForwardModel, pulls: Floats, guess: Shape | None, past: Floats) -> Shape:
     """Return the shape under pulls (m,) [m] behind the transmission, which follow a memory."""
-    start = None if guess is None else (guess.inputs[None], guess.state[None])
+    start = None
+    if guess is not None:
+        model.own_shape('guess', guess)
+        start = guess.inputs[None], guess.state[None]
     inputs, states = _met(model, pulls[None], start, past, unknown_slopes(model, 1), carry=False)
     return model.shape(inputs[0], states[0], past)
 
