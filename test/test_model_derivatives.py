@@ -170,6 +170,13 @@ def test_by_stiffness_of_cells_that_bow_under_a_load():
     assert np.allclose(found, expected, rtol=1e-5, atol=1e-7)
 
 
+def test_of_no_posture_there_are_none():
+    model = Model(arm(['gravity']))
+    columns = ['near_0', ('gravity', 'linear_density')]
+    found = model.derivatives(model.shapes(TENSIONS[:0]), columns)
+    assert found.shape == (0, model.robot.cells, 3, 2)
+
+
 def test_of_a_quantity_that_does_not_exist():
     model = Model(arm(['gravity']))
     shapes = model.shapes(TENSIONS)

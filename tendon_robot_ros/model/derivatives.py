@@ -126,6 +126,8 @@ def derivatives(
     """
     output = output or (lambda batch: model.measured(batch.positions))
     moves = [move_of(model, shapes, column) for column in columns]
+    if not len(shapes):
+        return np.repeat(output(shapes)[..., None], len(moves), axis=-1)
     if memory is not None or not model.friction_remembers:
 
         def outputs(batch: ShapeBatch) -> Floats:
