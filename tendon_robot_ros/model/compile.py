@@ -245,15 +245,9 @@ class KernelArrays:
         self.cells = cell_rows(robot)
         self.offset = tendon_offsets(robot)
         self.helix = helix_angles(robot)
-        self.tendon = np.array(
-            [
-                [robot.tendon_cells[k], j]
-                for k in range(len(robot.tendons))
-                for j, members in enumerate(robot.input_tendons)
-                if k in members
-            ],
-            dtype=np.int64,
-        )
+        puller = {k: j for j, members in enumerate(robot.input_tendons) for k in members}
+        rows = [[cells, puller[k]] for k, cells in enumerate(robot.tendon_cells)]
+        self.tendon = np.array(rows, dtype=np.int64)
         self.gravity = np.array(robot.gravity or (0.0, 0.0, 0.0))
         wide = max(len(robot.sections), len(robot.tendons))
         neutral = [[p.neutral] * wide for effect in catalogue for p in effect.parameters]

@@ -360,27 +360,24 @@ class Variants:
             np.concatenate([np.zeros(0), *values]),
         )
 
-    @property
-    def changes(self) -> tuple[npt.NDArray[Any], ...]:
-        """What the kernel exchanges."""
-        return self.acting, self.starts, self.places, self.values
+    def at(
+        self, model: ForwardModel, states: Floats, past: Floats, shows: bool = False
+    ) -> tuple[Floats, ShapeBatch]:
+        """
+        Return how far states (2q, b, 3n) or (b, 3n) [rad] are from balance, and their shapes.
 
-    def residuals(self, model: ForwardModel, states: Floats, past: Floats) -> Floats:
-        """Return states (b, 3n) minus those that balance their own moments [rad], (2q, b, 3n)."""
+        The former (2q, b, 3n) [rad] are the states minus those that their own moments ask for. Of
+        the shapes (2q b) only inputs, states and tensions are filled; with `shows` all fields.
+        """
         model.arrays.link()
-        out, states = np.empty((len(self.inputs), *states.shape)), np.ascontiguousarray(states)
-        fixed = model.arrays.address, self.inputs, states, past, model.scratch
-        model.arrays.part('derivatives').residuals(*fixed, *self.changes, out)
-        return out
-
-    def shown(self, model: ForwardModel, states: Floats, past: Floats) -> ShapeBatch:
-        """Return the shapes (2q b) of states (2q, b, 3n) [rad], without solving."""
-        count = self.inputs.shape[0] * self.inputs.shape[1]
-        inputs, states = self.inputs.reshape(count, -1), states.reshape(count, -1)
-        block, batch, _ = model.form.filled(inputs, states)
-        fixed = model.arrays.address, block, count, past, model.scratch
-        model.arrays.part('shape').variants_shown(*fixed, *self.changes)
-        return batch
+        inputs = self.inputs.reshape(-1, self.inputs.shape[2])
+        states = np.broadcast_to(states, (*self.inputs.shape[:2], states.shape[-1]))
+        out, rows = np.empty(states.shape), (len(inputs), -1)
+        block, batch, _ = model.form.filled(inputs, states.reshape(rows))
+        fixed = model.arrays.address, block, past, model.scratch
+        changes = self.acting, self.starts, self.places, self.values, out.reshape(rows)
+        model.arrays.part('shape').variants(*fixed, *changes, int(shows))
+        return out, batch
 
 
 def follow(
@@ -417,7 +414,7 @@ def follow(
         arrays.on[:] = np.concatenate([part.acting for part in parts]).max(axis=0)
         arrays.link()
         arrays.on[:] = before | (arrays.on & arrays.twisting)
-        off = np.concatenate([part.residuals(model, states, past) for part in parts])
+        off = np.concatenate([part.at(model, states, past)[0] for part in parts])
         rates = (off[0::2] - off[1::2]) / widths[:, :, None]
         state_slopes = responses(model, inputs, states, past, rates.swapaxes(0, 1)).swapaxes(0, 1)
     finally:
@@ -425,7 +422,7 @@ def follow(
     slopes = list[Floats]()
     for some, part in zip(places, parts, strict=True):
         moved = states + sides[some, :, :, None] * state_slopes[some, None]
-        ends = output(part.shown(model, moved, past))
+        ends = output(part.at(model, moved.reshape(-1, *states.shape), past, shows=True)[1])
         ends = ends.reshape(-1, 2, b, *ends.shape[1:])
         slopes.append((ends[:, 0] - ends[:, 1]) / _like(widths[some], ends[:, 0]))
     outputs = np.concatenate(slopes)

@@ -24,7 +24,6 @@ from .layout import (
     compiled,
     copy,
     entry,
-    exchange,
     floats,
     keep,
     largest,
@@ -338,27 +337,6 @@ def path_steps(robot, inputs, states, pulls, past, scratch, answers, by_tension,
     keep(f)
     keep(wires)
     keep(means)
-
-
-@entry()
-def residuals(robot, inputs, bends, past, scratch, acting, starts, places, values, out):
-    """
-    Fill the residuals `out` (v, b, 3n) [rad] of v variants at states (b, 3n); see `exchange`.
-
-    At inputs (v, b, m) [N]. Those of the twists are 0 where cells do not twist, because a row is
-    as wide as a state.
-    """
-    chain = chain_at(robot)
-    then = memory_in(chain, address(past))
-    for v in range(out.shape[0]):
-        exchange(chain, acting, starts, places, values, v)
-        work = work_in(chain, scratch)  # of the variant: stiffness is kept there
-        for b in range(out.shape[1]):
-            row, tension = address(out[v, b]), address(inputs[v, b])
-            for q in range(unknowns(chain), 3 * chain.n):
-                floats(row)[q] = 0.0
-            chain.residual(chain, tension, address(bends[b]), work, then, row)
-        exchange(chain, acting, starts, places, values, v)
 
 
 @entry()

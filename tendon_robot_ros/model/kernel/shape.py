@@ -299,13 +299,16 @@ def postures(robot, block, count, begin, end, past, scratch, carry, solves):
 
 
 @entry()
-def variants_shown(robot, block, count, past, scratch, acting, starts, places, values):
+def variants(robot, block, past, scratch, acting, starts, places, values, out, shows):
     """
-    Show `count` postures of a block as `postures` without solving, as many of each variant.
+    Fill the residuals `out` (count, 3n) [rad] of postures of a block, as many of each variant.
+
+    Those of the twists are 0 where cells do not twist, because a row is as wide as a state. With
+    `shows` 1 the postures are also shown, as by `postures` without solving.
 
     Parameters
     ----------
-    robot, block, count, scratch
+    robot, block, scratch
         See `postures`.
     past : ndarray
         Memory of the posture before all of them.
@@ -314,18 +317,19 @@ def variants_shown(robot, block, count, past, scratch, acting, starts, places, v
 
     """
     chain = chain_at(robot)
-    n, k, m = chain.n, chain.k, chain.m
-    then = memory_in(chain, address(past))
-    rest = scratch + 8 * (work_size(n, k) + memory_size(n, k, m))
+    then, count = memory_in(chain, address(past)), out.shape[0]
     each = count // acting.shape[0]
     for v in range(acting.shape[0]):
         exchange(chain, acting, starts, places, values, v)
         work = work_in(chain, scratch)  # of the variant: stiffness is kept there
         for b in range(v * each, (v + 1) * each):
             row, _, solving, output = results_at(chain, address(block), count, b, work)
-            chain.residual(chain, row[0], row[1], solving, then, rest)
-            place(chain, row[1], output)
-            wire_pulls(chain, row[1], output, row[2], row[3])
+            for q in range(unknowns(chain), 3 * chain.n):
+                out[b, q] = 0.0
+            chain.residual(chain, row[0], row[1], solving, then, address(out[b]))
+            if shows != 0:
+                place(chain, row[1], output)
+                wire_pulls(chain, row[1], output, row[2], row[3])
         exchange(chain, acting, starts, places, values, v)
 
 
