@@ -152,13 +152,11 @@ def mjcf(model: Model) -> str:
     """
     laws, robot = Laws(model), model.robot
     root = ElementTree.Element('mujoco', model=robot.name)
-    ElementTree.SubElement(root, 'compiler', angle='radian', inertiafromgeom='false')
+    _add(root, 'compiler', angle='radian', inertiafromgeom='false')
     down = robot.gravity if any(e.stage == 'load' for e in laws.acting) else None
-    ElementTree.SubElement(
-        root, 'option', timestep=f'{STEP_S:g}', integrator='implicitfast',
-        gravity=_text(down or (0.0, 0.0, 0.0)),
-    )  # fmt: skip
-    body = ElementTree.SubElement(ElementTree.SubElement(root, 'worldbody'), 'body', name='base')
+    still = (0.0, 0.0, 0.0)
+    _add(root, 'option', timestep=STEP_S, integrator='implicitfast', gravity=down or still)
+    body = _add(_add(root, 'worldbody'), 'body', name='base')
     _site(body, 'base', (0.0, 0.0, 0.0))
     kind = 'spatial' if laws.straight else 'fixed'
     routes = [ElementTree.Element(kind, name=tendon.name) for tendon in robot.tendons]
@@ -172,23 +170,22 @@ def mjcf(model: Model) -> str:
         body, angles = _add_hinge(body, number, hinge, damping, laws, routes, bends)
         rested += angles
     _site(body, 'tip', (0.0, 0.0, chain[-1].after))
-    ElementTree.SubElement(root, 'tendon').extend(routes)
-    actuators = ElementTree.SubElement(root, 'actuator')
+    _add(root, 'tendon').extend(routes)
+    actuators = _add(root, 'actuator')
     for k, tendon in enumerate(robot.tendons):
         gain, offset, _ = laws.gain(k)
-        ElementTree.SubElement(
-            actuators, 'general', name=tendon.name, tendon=tendon.name, gear='-1',
-            gainprm=f'{gain:.9g}', biastype='affine', biasprm=f'{offset:.9g}',
-            ctrlrange=_text((0.0, robot.tension_limits[1])),
+        _add(
+            actuators, 'general', name=tendon.name, tendon=tendon.name, gear=-1, gainprm=gain,
+            biastype='affine', biasprm=offset, ctrlrange=(0.0, robot.tension_limits[1]),
         )  # fmt: skip
     wrench = laws('tip_load', (0.0,) * 6)
     if any(wrench):
-        ElementTree.SubElement(
+        _add(
             actuators, 'general', name='tip_load', site='tip', refsite='base', biastype='affine',
-            gear=_text(wrench), gainprm='0', biasprm='1',
+            gear=wrench, gainprm=0, biasprm=1,
         )  # fmt: skip
-    keyframe = ElementTree.SubElement(root, 'keyframe')
-    ElementTree.SubElement(keyframe, 'key', name='rest', qpos=_text(rested))
+    keyframe = _add(root, 'keyframe')
+    _add(keyframe, 'key', name='rest', qpos=rested)
     ElementTree.indent(root)
     return f'{_head(model, laws)}\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
@@ -204,14 +201,10 @@ def _add_hinge(
 ) -> tuple[Xml, list[float]]:
     """Add the body beyond a hinge with its joints and sites; return it and its angles at rest."""
     robot, (bend_x, bend_y) = laws.robot, bends.bend[hinge.cell].tolist()
-    body = ElementTree.SubElement(
-        parent, 'body', name=f'body_{number + 1}', pos=_text((0.0, 0.0, hinge.before))
-    )
+    body = _add(parent, 'body', name=f'body_{number + 1}', pos=(0.0, 0.0, hinge.before))
     inertia = max(hinge.mass * (2.0 * hinge.after) ** 2 / 12.0, INERTIA_MIN)
-    ElementTree.SubElement(
-        body, 'inertial', pos=_text((*hinge.beside, 0.0)), mass=f'{hinge.mass:.9g}',
-        diaginertia=_text([inertia] * 3),
-    )  # fmt: skip
+    beside = (*hinge.beside, 0.0)
+    _add(body, 'inertial', pos=beside, mass=hinge.mass, diaginertia=[inertia] * 3)
     axes = [
         ('x', '0 1 0', hinge.stiffness, hinge.rest[0], bend_x),
         ('y', '-1 0 0', hinge.stiffness, hinge.rest[1], bend_y),
@@ -219,15 +212,15 @@ def _add_hinge(
     if hinge.twisting:
         axes.append(('z', '0 0 1', hinge.twisting, 0.0, float(bends.twist[hinge.cell])))
     for name, axis, stiffness, rest, _ in axes:
-        ElementTree.SubElement(
-            body, 'joint', name=f'joint_{number + 1}_{name}', axis=axis, springref=f'{rest:.9g}',
-            stiffness=f'{stiffness:.9g}', damping=f'{damping * stiffness:.9g}',
-            armature=f'{stiffness * (STEPS_PER_PERIOD * STEP_S) ** 2 / 4.0:.9g}',
+        _add(
+            body, 'joint', name=f'joint_{number + 1}_{name}', axis=axis, springref=rest,
+            stiffness=stiffness, damping=damping * stiffness,
+            armature=stiffness * (STEPS_PER_PERIOD * STEP_S) ** 2 / 4.0,
         )  # fmt: skip
     radius = 0.6 * float(np.linalg.norm(laws.arrays.offset, axis=2).max())
-    ElementTree.SubElement(
+    _add(
         body, 'geom', type='capsule', size=f'{radius:.6g}', contype='0', conaffinity='0',
-        fromto=_text((0.0, 0.0, 0.0, 0.0, 0.0, hinge.after)),
+        fromto=(0.0, 0.0, 0.0, 0.0, 0.0, hinge.after),
     )  # fmt: skip
     (scale,) = laws('offset_scale', (1.0,))
     for k, tendon in enumerate(robot.tendons):
@@ -237,7 +230,7 @@ def _add_hinge(
         if not laws.straight:
             for name, arm in zip('xy', offset.tolist(), strict=True):
                 joint = f'joint_{number + 1}_{name}'
-                ElementTree.SubElement(routes[k], 'joint', joint=joint, coef=f'{-arm:.9g}')
+                _add(routes[k], 'joint', joint=joint, coef=-arm)
             continue
         winds = 0.5 * float(laws.arrays.helix[hinge.cell, k])
         ends = (parent, hinge.before - hinge.after, -winds), (body, hinge.after, winds)
@@ -248,7 +241,7 @@ def _add_hinge(
                 at = turned_in_plane(offset, np.array(turn))
                 site = f'{tendon.name} {number + 1}{"+" if where is body else "-"}'
                 _site(where, site, (*at, up))
-                ElementTree.SubElement(routes[k], 'site', site=site)
+                _add(routes[k], 'site', site=site)
     if hinge.part == hinge.parts - 1:
         _site(body, robot.cell_names[hinge.cell], (0.0, 0.0, hinge.after))
     return body, [angle / hinge.parts for *_, angle in axes]
@@ -286,8 +279,17 @@ def unsaid(laws: Laws) -> list[Effect]:
     return [e for e in laws.acting if e.stage not in said | {*BESIDE_THE_ARM}]
 
 
+def _add(parent: Xml, tag: str, **attributes: str | float | Sequence[float]) -> Xml:
+    """Add an element whose attributes are words, or numbers that MJCF reads."""
+    texts = {
+        key: value if isinstance(value, str) else _text(np.atleast_1d(value).tolist())
+        for key, value in attributes.items()
+    }
+    return ElementTree.SubElement(parent, tag, texts)
+
+
 def _site(body: Xml, name: str, place: Sequence[float]) -> None:
-    ElementTree.SubElement(body, 'site', name=name, pos=_text(place), size='0.0005')
+    _add(body, 'site', name=name, pos=place, size=0.0005)
 
 
 def _text(numbers: Sequence[float]) -> str:
