@@ -32,7 +32,6 @@ LOSSES_MAX = 8
 _LOG = logging.getLogger(__name__)
 Work = Callable[[Any], Any]
 Prepare = Callable[[], None]
-Spread = Callable[[Work, Iterable[Any]], Iterator[tuple[int, Any]]]
 
 
 @dataclass(frozen=True)

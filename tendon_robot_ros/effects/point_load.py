@@ -1,6 +1,6 @@
 """A force and a moment at a place along the arm, constant or turning with it."""
 
-from .effect import Effect, Parameter
+from .effect import Effect, Parameter, wrench
 
 
 def law(
@@ -54,12 +54,7 @@ EFFECT = Effect(
     law=law,
     parameters=(
         Parameter('arc_length', 'm', 0.0, 1.0, 0.0, typical=0.7, of='length'),
-        Parameter('force_x', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
-        Parameter('force_y', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
-        Parameter('force_z', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
-        Parameter('moment_x', 'N·m', -1e3, 1e3, 0.0, 0.2, of='moment', only_described=True),
-        Parameter('moment_y', 'N·m', -1e3, 1e3, 0.0, 0.2, of='moment', only_described=True),
-        Parameter('moment_z', 'N·m', -1e3, 1e3, 0.0, 0.2, of='moment', only_described=True),
+        *wrench(),
         Parameter('follows', '1', 0.0, 1.0, 0.0, typical=1.0, only_described=True),
     ),
     divisible=True,

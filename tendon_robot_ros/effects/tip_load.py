@@ -1,6 +1,6 @@
 """A constant force, and a constant moment, at the tip."""
 
-from .effect import Effect, Parameter
+from .effect import Effect, wrench
 
 
 def law(
@@ -34,13 +34,6 @@ EFFECT = Effect(
     finding='a load of {size} at the tip, {direction}',
     stage='tip_load',
     law=law,
-    parameters=(
-        Parameter('force_x', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
-        Parameter('force_y', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
-        Parameter('force_z', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
-        Parameter('moment_x', 'N·m', -1e3, 1e3, 0.0, 0.2, of='moment', only_described=True),
-        Parameter('moment_y', 'N·m', -1e3, 1e3, 0.0, 0.2, of='moment', only_described=True),
-        Parameter('moment_z', 'N·m', -1e3, 1e3, 0.0, 0.2, of='moment', only_described=True),
-    ),
+    parameters=wrench(),
     divisible=True,
 )
