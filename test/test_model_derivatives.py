@@ -236,9 +236,5 @@ def test_tensions_that_come_in_at_the_base_are_those_of_the_differences(name):
     """The elimination says how the bends follow a tension without any right-hand side."""
     model = Model(arm(dict.fromkeys([*FRICTION, name])))
     shapes = model.shapes(TENSIONS[:1])  # at no tension differences are one-sided
-
-    def tip(batch):
-        return np.concatenate([batch.tip_position, batch.tip_direction], axis=1)
-
-    slopes = model.derivatives(shapes, list(model.inputs), tip)[0]
+    slopes = model.derivatives(shapes, list(model.inputs), lambda batch: batch.tip)[0]
     assert np.allclose(model.jacobian(TENSIONS[0]), slopes, rtol=1e-5, atol=1e-7)

@@ -52,6 +52,8 @@ class Layout:
         (effect, parameter) -> row of Chain.values.
     index : dict
         effect -> entry of Chain.on.
+    members : dict
+        stage -> entries of Chain.on of its effects.
 
     """
 
@@ -60,6 +62,9 @@ class Layout:
         names = [(effect.name, p.name) for effect in catalogue for p in effect.parameters]
         self.rows = {name: row for row, name in enumerate(names)}
         self.index = {effect.name: index for index, effect in enumerate(catalogue)}
+        self.members: dict[str, list[int]] = {stage: [] for stage in STAGES}
+        for effect in catalogue:
+            self.members[effect.stage].append(self.index[effect.name])
 
 
 def stages_source(catalogue: Catalogue) -> str:
@@ -92,9 +97,7 @@ def stages_source(catalogue: Catalogue) -> str:
                 f'        {value} = law_{number}({takes}, {parameters})',
             ]
         lines += [f'    return {value}', '', '', '@compiled', f'def {stage.name}_acts(chain):']
-        acts = ' or '.join(
-            f'flags(chain.on)[{where.index[effect.name]}] != 0' for effect in members
-        )
+        acts = ' or '.join(f'flags(chain.on)[{i}] != 0' for i in where.members[stage.name])
         lines.append(f'    return {acts or "False"}')
     return '\n'.join(lines) + '\n'
 
@@ -255,7 +258,7 @@ class KernelArrays:
         self.on = np.zeros(len(self.layout.index), dtype=np.uint8)
         self._linked = set[bytes]()  # the effects that acted when `link` was called
         self.twisting = np.zeros_like(self.on)  # which effects let cells twist
-        self.twisting[[self.layout.index[e.name] for e in catalogue if e.stage == 'torsion']] = 1
+        self.twisting[self.layout.members['torsion']] = 1
         for name, values in robot.effects.items():
             self.read(name, values)
         linked = bool(self._acting() & LINKING_STAGES) or bool(self.helix.any())
@@ -365,10 +368,13 @@ class KernelArrays:
             self._link(self._called())
             self._linked.add(acts)
 
+    def acts_at(self, stage: str) -> bool:
+        """Tell whether an effect of a stage acts."""
+        return any(self.on[place] for place in self.layout.members[stage])
+
     def _acting(self) -> frozenset[str]:
         """Return the stages at which effects act."""
-        on, index = self.on, self.layout.index
-        return frozenset(effect.stage for effect in self.catalogue if on[index[effect.name]])
+        return frozenset(filter(self.acts_at, STAGES))
 
     def _called(self) -> frozenset[str]:
         """Return the functions of `LINKED` that the active effects call."""

@@ -89,17 +89,7 @@ class ForwardModel:
 
     def acts_at(self, stage: str) -> bool:
         """Tell whether an effect of a stage acts."""
-        on = self.arrays.on
-        return any(on[place] for place in self.members[stage])
-
-    @cached_property
-    def members(self) -> dict[str, tuple[int, ...]]:
-        """Indices of the effects of every stage in `arrays.on`."""
-        index = self.arrays.layout.index
-        return {
-            stage: tuple(index[e.name] for e in self.catalogue if e.stage == stage)
-            for stage in STAGES
-        }
+        return self.arrays.acts_at(stage)
 
     @cached_property
     def remembering(self) -> list[int]:

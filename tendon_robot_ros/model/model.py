@@ -65,11 +65,8 @@ class Model(ForwardModel):
         inputs = self.tensions(tensions)
         if not self.friction_remembers:
             return tip_slopes(self, self.shape(inputs), self.arrays.fresh_memory())
-
-        def tip(batch: ShapeBatch) -> Floats:
-            return np.concatenate([batch.tip_position, batch.tip_direction], axis=1)
-
-        slopes: Floats = derivatives(self, self.shapes(inputs[None]), self.inputs, tip)[0]
+        shapes = self.shapes(inputs[None])
+        slopes: Floats = derivatives(self, shapes, self.inputs, lambda batch: batch.tip)[0]
         return slopes
 
     def derivatives(

@@ -186,6 +186,11 @@ class Bent:
         along: Floats = self.frames[..., -1, :, 2]
         return along
 
+    @property
+    def tip(self) -> Floats:
+        """Tip position [m] and, behind it, approach direction (..., 6)."""
+        return np.concatenate([self.tip_position, self.tip_direction], axis=-1)
+
 
 @dataclass(frozen=True)
 class WireSlopes:

@@ -211,8 +211,7 @@ def _setting_out(task: TipTask, guess: Shape, inputs: Floats, from_library: bool
 
 def squared_distances(library: ShapeBatch, target: Floats) -> Floats:
     """Return squared weighted distances (rows,) [m²] of the tips of shapes from a target."""
-    tips = np.concatenate([library.tip_position, library.tip_direction], axis=1)
-    error = np.repeat(target[6:], 3) * (tips - target[:6])
+    error = np.repeat(target[6:], 3) * (library.tip - target[:6])
     squares: Floats = (error * error).sum(axis=1)
     return squares
 

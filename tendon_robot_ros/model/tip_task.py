@@ -267,8 +267,7 @@ class TipTask:
 
     def held_at(self, shape: Shape) -> TipTask:
         """Return the task whose target is the tip of a shape, for targets beyond reach."""
-        target = np.concatenate([shape.tip_position, shape.tip_direction, self.target[6:]])
-        return replace(self, target=target)
+        return replace(self, target=np.concatenate([shape.tip, self.target[6:]]))
 
     def shape(self, inputs: Floats, state: Floats) -> Shape:
         """Return the shape under tensions (m,) [N] that follow the past."""
@@ -276,7 +275,7 @@ class TipTask:
 
     def tip_error(self, shape: Shape) -> Floats:
         """Return the error (6,) of tip position [m] and direction against the target."""
-        return np.concatenate([shape.tip_position, shape.tip_direction]) - self.target[:6]
+        return shape.tip - self.target[:6]
 
     def cost(self, shape: Shape) -> float:
         """Return half the square of the weighted tip error [m²], as the kernel's searches do."""
