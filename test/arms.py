@@ -73,71 +73,56 @@ DIRECTED = (  # effects with directions, and the stems of their components
 )
 CATALOGUE = load_catalogue()
 THREE = load_robot(ROOT / 'config/robots/spatial_3.yaml')
+
+
+def section(name, cells, length, stiffness, bends_as='arc'):
+    """Return a section of equal cells."""
+    return Section(name, cells, length, (stiffness,) * cells, (1.0,) * cells, bends_as)
+
+
 COARSE = replace(
-    THREE,
-    sections=(
-        replace(
-            THREE.sections[0],
-            cells=8,
-            cell_length=0.015,
-            bending_stiffness=(0.016,) * 8,
-            mass_profile=(1.0,) * 8,
-        ),
-    ),
+    THREE, sections=(section(THREE.sections[0].name, 8, 0.015, 0.016, THREE.sections[0].bends_as),)
 )
+
+
+def made(name, sections, tendons, effects):
+    """Return a robot of sections and of tendons, each by its name, (x, y) [m] and section."""
+    wires = tuple(Tendon(wire, at, at, where) for wire, at, where in tendons)
+    return Robot(name, sections, wires, tension_limits=(0.0, 5.0), effects=effects or {})
 
 
 def planar(cells=6, effects=None, bends_as='arc', stiffness=0.027, length=0.007, arm=0.0055):
     """Return one section with a tendon to each side."""
-    return Robot(
-        name='planar',
-        sections=(section('only', cells, length, stiffness, bends_as),),
-        tendons=(
-            Tendon('left', (-arm, 0.0), (-arm, 0.0), 'only'),
-            Tendon('right', (arm, 0.0), (arm, 0.0), 'only'),
-        ),
-        tension_limits=(0.0, 5.0),
-        effects=effects or {},
-    )
+    tendons = ('left', (-arm, 0.0), 'only'), ('right', (arm, 0.0), 'only')
+    sections = (section('only', cells, length, stiffness, bends_as),)
+    return made('planar', sections, tendons, effects)
 
 
 def two_sections(cells=4, effects=None, bends_as='arc'):
     """Return two sections with two tendons each, in one plane."""
-    arm = 0.0055
-    return Robot(
-        name='two_sections',
-        sections=(
-            section('near', cells, 0.007, 0.027, bends_as),
-            section('far', cells, 0.006, 0.021, bends_as),
-        ),
-        tendons=tuple(
-            Tendon(f'{where}_{side}', (x, 0.0), (x, 0.0), where)
-            for where in ('near', 'far')
-            for side, x in (('left', -arm), ('right', arm))
-        ),
-        tension_limits=(0.0, 5.0),
-        effects=effects or {},
-    )
+    near = section('near', cells, 0.007, 0.027, bends_as)
+    far = section('far', cells, 0.006, 0.021, bends_as)
+    tendons = [
+        (f'{where}_{side}', (x, 0.0), where)
+        for where in ('near', 'far')
+        for side, x in (('left', -0.0055), ('right', 0.0055))
+    ]
+    return made('two_sections', (near, far), tendons, effects)
 
 
 def spatial(cells=4, effects=None, bends_as='hinge', taper=1.0):
     """Return two sections with three tendons each, all around; `taper` of the offsets."""
+    near = section('near', cells, 0.006, 0.05, bends_as)
+    far = section('far', cells, 0.006, 0.03, bends_as)
     tendons = []
     for s, name in enumerate(('near', 'far')):
         for j in range(3):
             angle = np.pi / 3 * (2 * j + s)
-            base = (float(0.006 * np.cos(angle)), float(0.006 * np.sin(angle)))
-            tendons.append(Tendon(f'{name}_{j}', base, (taper * base[0], taper * base[1]), name))
-    return Robot(
-        name='spatial',
-        sections=(
-            section('near', cells, 0.006, 0.05, bends_as),
-            section('far', cells, 0.006, 0.03, bends_as),
-        ),
-        tendons=tuple(tendons),
-        tension_limits=(0.0, 5.0),
-        effects=effects or {},
-    )
+            at = (float(0.006 * np.cos(angle)), float(0.006 * np.sin(angle)))
+            tendons.append((f'{name}_{j}', at, name))
+    robot = made('spatial', (near, far), tendons, effects)
+    ends = (replace(t, end=(taper * t.base[0], taper * t.base[1])) for t in robot.tendons)
+    return replace(robot, tendons=tuple(ends))
 
 
 def wound(robot, helix=(20.0, -15.0), beside=(0.002, -0.003)):
@@ -151,9 +136,21 @@ def wound(robot, helix=(20.0, -15.0), beside=(0.002, -0.003)):
     return replace(robot, tendons=tendons, sections=sections)
 
 
-def section(name, cells, length, stiffness, bends_as='arc'):
-    """Return a section of equal cells."""
-    return Section(name, cells, length, (stiffness,) * cells, (1.0,) * cells, bends_as)
+def misses(model, moved, to_first_order, solved):
+    """
+    Yield by how much shapes to first order miss those that are solved, and how far these move [m].
+
+    Both are functions of the model as it is, which is moved by effect, parameter and step.
+    """
+    for effect, parameter, step in moved:
+        value, slopes, differences = model.arrays.get(effect, parameter, 0), [], []
+        for side in (step, -step):
+            model.arrays.set(effect, parameter, None, value + side)
+            slopes.append(to_first_order().positions)
+            differences.append(solved().positions)
+        model.arrays.set(effect, parameter, None, value)
+        expected = np.subtract(*differences)
+        yield np.abs(np.subtract(*slopes) - expected).max(), np.abs(expected).max()
 
 
 def turned(robot, angle):

@@ -178,15 +178,10 @@ def test_a_spatial_robot_turned_about_z_moves_the_same_way(effect):
         assert np.allclose(other.positions, one.positions @ turn.T, rtol=0, atol=1e-10)
 
 
-def slope(model, tensions, effect, parameter, step):
-    """Fourth-order difference, each side solved from straight."""
-    row, total = model.arrays.layout.rows[effect, parameter], 0.0
-    here = model.arrays.values[row].copy()  # of every section: they move together
-    for count, weight in ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0)):
-        model.arrays.values[row] = here + count * step
-        total = total + weight * model.measured(model.shapes(tensions).positions)
-    model.arrays.values[row] = here
-    return total / (12.0 * step)
+def slope(at, step):
+    """Fourth-order difference of a function of how far something is moved."""
+    sides = ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0))
+    return sum(weight * at(count * step) for count, weight in sides) / (12.0 * step)
 
 
 @pytest.mark.parametrize(
@@ -198,18 +193,23 @@ def test_the_derivative_by_a_parameter_equals_the_difference(effect, parameter):
     tensions = np.array([[0.1, 0.7, 0.9, 0.2]])
     found = model.derivatives(model.shapes(tensions), [(effect, parameter)])[..., 0]
     typical = {p.name: p.typical for p in CATALOGUE[effect].parameters}[parameter]
-    expected = slope(model, tensions, effect, parameter, 0.01 * typical)
+    row = model.arrays.layout.rows[effect, parameter]
+    here = model.arrays.values[row].copy()  # of every section: they move together
+
+    def moved(step):  # solved from straight
+        model.arrays.values[row] = here + step
+        return model.measured(model.shapes(tensions).positions)
+
+    expected = slope(moved, 0.01 * typical)
     assert np.allclose(found * typical, expected * typical, rtol=1e-4, atol=1e-9)
 
 
 @pytest.mark.parametrize('effect', EFFECTS)
 def test_the_jacobian_equals_the_difference(effect):
     model = Model(with_effects(spatial(3), effect))
-    tensions, step = np.array([0.3, 0.5, 1.1, 0.5, 0.4, 0.2]), 3e-5
-    found, expected = model.jacobian(tensions), np.zeros((6, 6))
-    for count, weight in ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0)):
-        for j in range(6):
-            moved = tensions + count * step * (np.arange(6) == j)
-            expected[:, j] += weight * model.shape(moved).tip / (12.0 * step)
-    assert np.allclose(found[:3], expected[:3], rtol=1e-4, atol=1e-7)
-    assert np.allclose(found[3:], expected[3:], rtol=1e-4, atol=1e-6)
+    tensions = np.array([0.3, 0.5, 1.1, 0.5, 0.4, 0.2])
+    found = model.jacobian(tensions)
+    for column, one in zip(found.T, np.eye(6), strict=True):
+        expected = slope(lambda step, one=one: model.shape(tensions + step * one).tip, 3e-5)
+        assert np.allclose(column[:3], expected[:3], rtol=1e-4, atol=1e-7)
+        assert np.allclose(column[3:], expected[3:], rtol=1e-4, atol=1e-6)

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arms import made, section
 from source_tree import ROOT
 
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.robot import Robot, Section, Tendon
 
 sys.path.append(str(ROOT / 'benchmarks'))
 FineRod = importlib.import_module('fine_rod').FineRod
@@ -34,31 +34,18 @@ PLATE_M = 1e-6  # [m] length of a cell that does not bend
 def described(rod, plate=False):
     """Return the model of a rod as docs/robot_file.md describes one."""
     cell = rod.length / rod.disks
-    ones = np.ones(rod.disks)
-    stiffness = tuple(ones * rod.rigidity / cell)
-    section = Section('rod', rod.disks, cell, stiffness, tuple(ones), bends_as='arc')
-    below = Section('plate', 1, PLATE_M, (1e3,), (1.0,), bends_as='arc')
-    guided = {'fraction': 1.0}
-    return Model(
-        Robot(
-            'rod',
-            (below, section) if plate else (section,),
-            tuple(
-                Tendon(str(k), tuple(hole[:2]), tuple(hole[:2]), 'rod')
-                for k, hole in enumerate(HOLES)
-            ),
-            tension_limits=(0.0, 20.0),
-            gravity=(9.81, 0.0, 0.0),
-            effects={
-                'gravity': {'linear_density': rod.arm_mass / rod.length},
-                'tip_load': {'force_x': rod.tip_mass * 9.81},
-                'tendon_friction': {'friction_coefficient': rod.friction},
-                'straight_tendon': guided,
-                'eyelet_wrap': guided,
-                'tendon_travel': guided,
-            },
-        )
-    )
+    arm = section('rod', rod.disks, cell, rod.rigidity / cell)
+    sections = (section('plate', 1, PLATE_M, 1e3), arm) if plate else (arm,)
+    guided = ('straight_tendon', 'eyelet_wrap', 'tendon_travel')
+    effects = {
+        'gravity': {'linear_density': rod.arm_mass / rod.length},
+        'tip_load': {'force_x': rod.tip_mass * 9.81},
+        'tendon_friction': {'friction_coefficient': rod.friction},
+        **{name: {'fraction': 1.0} for name in guided},
+    }
+    wires = [(str(k), tuple(hole[:2]), 'rod') for k, hole in enumerate(HOLES)]
+    robot = made('rod', sections, wires, effects)
+    return Model(replace(robot, tension_limits=(0.0, 20.0), gravity=(9.81, 0.0, 0.0)))
 
 
 def off_by(model, rod):

@@ -5,46 +5,30 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from arms import planar, section, spatial, two_sections
+from arms import TYPICAL, made, planar, section, spatial, two_sections
 from source_tree import ROOT
 
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.mjcf import Laws, mjcf, unsaid
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.robot import Robot, Tendon, load_robot
+from tendon_robot_ros.robot import Tendon, load_robot
 
 STRAIGHT = {'straight_tendon': {'fraction': 1.0}}
 DOWN = (3.0, -4.0, -8.0)  # [m/s²]
-FOUND = {  # what a diagnosis adds
-    'backbone_stiffness': {'relative_change': 0.2},
-    'section_stiffness': {'relative_change': (0.2, -0.1)},
-    'tendon_stiffness': {'per_tendon': 5e-4},
-    'pre_curvature': {'angle_x': 0.02, 'angle_y': -0.03},
-    'moment_arm': {'relative_change': 0.15},
-    'transmission_loss': {'fraction': 0.1},
-    'tension_offset': {'offset': 0.05},
-    'gravity': {'linear_density': 0.3},
-    'tip_load': {'force_x': 0.02, 'force_y': -0.03, 'force_z': 0.03, 'moment_y': 1e-3},
-}
+FOUND = (  # what a diagnosis adds
+    *('backbone_stiffness', 'section_stiffness', 'tendon_stiffness', 'pre_curvature'),
+    *('moment_arm', 'transmission_loss', 'tension_offset', 'gravity', 'tip_load'),
+)
 
 
 def chain_of_three(bends_as='hinge', tendons=3):
     """Return three sections with tendons all around, or in one plane."""
     names = ('near', 'middle', 'far')
     angles = np.arange(tendons) * 2.0 * np.pi / tendons
-    return Robot(
-        name='three',
-        sections=tuple(section(name, 6, 0.006, 0.04, bends_as) for name in names),
-        tendons=tuple(
-            Tendon(
-                f'{name}_{j}', *[(0.006 * float(np.cos(a)), 0.006 * float(np.sin(a)))] * 2, name
-            )
-            for name in names
-            for j, a in enumerate(angles)
-        ),
-        tension_limits=(0.0, 5.0),
-        effects={},
-    )
+    places = [(0.006 * float(np.cos(a)), 0.006 * float(np.sin(a))) for a in angles]
+    sections = tuple(section(name, 6, 0.006, 0.04, bends_as) for name in names)
+    wires = [(f'{name}_{j}', at, name) for name in names for j, at in enumerate(places)]
+    return made('three', sections, wires, {})
 
 
 def settled(text, robot, tensions):
@@ -70,7 +54,7 @@ def frictionless(robot):
 
 def added(robot, *names, **more):
     """Return the robot with what a diagnosis found, and gravity."""
-    effects = {name: FOUND[name] for name in names or FOUND} | more
+    effects = {name: TYPICAL[name] for name in names or FOUND} | more
     return replace(robot, effects=robot.effects | effects, gravity=DOWN)
 
 

@@ -50,30 +50,24 @@ def floor(model, dataset):
     return np.sqrt(total.mean())
 
 
+def described(letter, part, effects):
+    """Return the measurements of a case, and the model of its arm with more effects."""
+    dataset = load_dataset(blind(letter) / part)
+    robot = replace(dataset.robot, gravity=dataset.gravity_for(dataset.robot))
+    return dataset, Model(replace(robot, effects=robot.effects | effects))
+
+
 @pytest.mark.parametrize('part', ['fit', 'check'])
 @pytest.mark.parametrize('letter', IN_THE_CATALOGUE)
 def test_with_the_true_effect_the_model_is_off_by_the_noise(letter, part):
-    dataset = load_dataset(blind(letter) / part)
-    robot = replace(dataset.robot, gravity=dataset.gravity_for(dataset.robot))
-    for name, values in hidden(letter).items():
-        robot = robot.with_effect(name, values)
-    model = Model(robot)
+    dataset, model = described(letter, part, hidden(letter))
     error, noise = rms(model, dataset), floor(model, dataset)
     print(f'{letter} {part}: {1e3 * error:.3f} mm, noise {1e3 * noise:.3f} mm')
-    assert 0.6 * noise < error < 1.35 * noise
+    assert 0.6 * noise < error < (1.35 if hidden(letter) else 1.3) * noise
 
 
 @pytest.mark.parametrize('part', ['fit', 'check'])
 @pytest.mark.parametrize('letter', [c for c in IN_THE_CATALOGUE if c != 'a'])
 def test_without_it_the_model_is_off_by_more(letter, part):
-    dataset = load_dataset(blind(letter) / part)
-    robot = replace(dataset.robot, gravity=dataset.gravity_for(dataset.robot))
-    model = Model(robot)
+    dataset, model = described(letter, part, {})
     assert rms(model, dataset) > 2.0 * floor(model, dataset)
-
-
-def test_the_clean_case_is_within_the_noise():
-    for part in ('fit', 'check'):
-        dataset = load_dataset(blind('a') / part)
-        model = Model(replace(dataset.robot, gravity=dataset.gravity_for(dataset.robot)))
-        assert rms(model, dataset) < 1.3 * floor(model, dataset)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import GRAVITY, TYPICAL, spatial, wound
+from arms import GRAVITY, TYPICAL, section, spatial, wound
 from reference import Reference
 from test_effects_contract import EFFECTS, VALUES
 
@@ -113,9 +113,9 @@ def test_markers_inside_a_cell_by_tensions_and_by_parameters():
             if isinstance(column, str):
                 inputs[:, 1] += side
             else:
-                section = column[2] if len(column) == 3 else None
-                here = moved.arrays.get(*column[:2], section)
-                moved.arrays.set(*column[:2], section, here + side)
+                own = column[2] if len(column) == 3 else None
+                here = moved.arrays.get(*column[:2], own)
+                moved.arrays.set(*column[:2], own, here + side)
             sides.append(moved.measured(moved.shapes(inputs).markers(*places)))
         expected = (sides[0] - sides[1]) / (2.0 * step)
         assert np.allclose(found[..., q], expected, rtol=1e-4, atol=2e-7)
@@ -148,17 +148,7 @@ def test_every_tendon_has_its_own_tension_before_the_base():
 
 def test_by_stiffness_of_cells_that_bow_under_a_load():
     arm = load_robot('spatial_3').with_effect('tip_load', {'force_x': 0.05, 'force_y': 0.02})
-    sections = tuple(
-        replace(
-            s,
-            cells=2,
-            cell_length=0.08,
-            bends_as='arc',
-            bending_stiffness=(0.05,) * 2,
-            mass_profile=(1.0,) * 2,
-        )
-        for s in arm.sections
-    )
+    sections = tuple(section(s.name, 2, 0.08, 0.05) for s in arm.sections)
     robot = replace(arm, sections=sections, effects={'tip_load': arm.effects['tip_load']})
     model, inputs, step = Model(robot), [[0.3, 0.1, 0.1]], 1e-4
     shapes = model.shapes(inputs)

@@ -93,14 +93,9 @@ def test_a_spring_that_gives_way_has_no_equilibrium_and_says_so():
         Model(robot).shape([0.0, 1.01 * top])
     assert str(caught.value).startswith('no equilibrium for left 0 N, right 2.69889 N with ')
     assert caught.value.effects == ()
-    with pytest.raises(
-        NoEquilibriumError, match=r'no equilibrium for posture 1 \(left 0 N, right'
-    ):
+    with pytest.raises(NoEquilibriumError, match=r'for posture 1 \(left 0 N, right'):
         Model(robot).shapes([[0.0, 1.0], [0.0, 3.0]])
-
-
-def test_solve_marks_the_postures_without_equilibrium_and_keeps_the_others():
-    robot = planar(3, {'nonlinear_stiffness': {'cubic': -0.5}})
+    # `solve` marks them and keeps the others
     batch, changes = Model(robot).solve(np.array([[0.0, 1.0], [0.0, 3.0], [0.0, 0.5]]))
     assert (changes < 1e-10).tolist() == [True, False, True]
     assert np.isfinite(batch.positions[[0, 2]]).all()

@@ -77,7 +77,9 @@ def test_the_exponents_between_springs_and_hyperbolas_have_their_closed_forms():
         assert 1.0 - LAW(0.0, s, way * LENGTH, LENGTH, 2.0) == pytest.approx(hyperbola)
 
 
-def test_a_description_without_the_exponent_is_dahls():
+def test_a_description_without_the_exponent_is_dahls_and_one_without_a_length_refused():
+    with pytest.raises(RobotDescriptionError, match='presliding_length'):
+        Model(planar(2, {'friction_memory': {}}))
     rows = [[0.0, 1.0], [0.0, 0.5]]
     listed = EFFECTS['friction_memory'] | {'exponent': 1.0}
     one = Model(planar(4, EFFECTS)).sequence(rows)
@@ -148,27 +150,17 @@ def test_a_sequence_does_not_depend_on_how_it_is_cut(robot):
     assert np.abs(coarse - cut).max() < 2e-6
 
 
-def test_calls_one_after_the_other_equal_a_sequence():
-    robot = replace(spatial(3, FULL), gravity=GRAVITY).with_effect(
-        'hinge_friction', {'lever': 1e-4}
-    )
-    robot = robot.with_effect('gravity', {'linear_density': 0.1})
-    model, rows = Model(robot), np.random.default_rng(6).uniform(0.0, 1.0, (6, 6))
-    batch, memory = model.sequence(rows), None
-    for row, positions in zip(rows, batch.positions, strict=True):
-        shape = model.shape(row, memory=memory)
-        memory = shape.memory
+def test_calls_one_after_the_other_equal_a_sequence_and_leave_the_memory_they_are_given():
+    more = {'hinge_friction': {'lever': 1e-4}, 'gravity': {'linear_density': 0.1}}
+    model = Model(replace(spatial(3, FULL | more), gravity=GRAVITY))
+    rows, memory = np.random.default_rng(6).uniform(0.0, 1.0, (6, 6)), None
+    for row, positions in zip(rows, model.sequence(rows).positions, strict=True):
+        given = None if memory is None else memory.copy()
+        one, shape = (model.shape(row, memory=memory) for _ in range(2))
         assert np.array_equal(shape.positions, positions)
-
-
-def test_a_call_does_not_touch_the_memory_it_was_given():
-    model = Model(planar(4, FULL))
-    first = model.shape([0.0, 1.0])
-    kept = first.memory.copy()
-    one = model.shape([0.0, 0.4], memory=first.memory)
-    again = model.shape([0.0, 0.4], memory=first.memory)
-    assert np.array_equal(first.memory, kept)
-    assert np.array_equal(one.positions, again.positions)
+        assert np.array_equal(one.positions, positions)
+        assert memory is None or np.array_equal(memory, given)
+        memory = shape.memory
 
 
 def test_without_memory_the_order_of_postures_does_not_matter():
@@ -184,11 +176,6 @@ def test_hinge_friction_holds_the_bend_on_the_way_back():
     assert np.allclose(bends[0], (R - 5e-4) / 0.027)
     assert np.allclose(bends[1], bends[0])  # it sticks: 0.9 (R + lever) > 1.0 (R - lever)
     assert np.allclose(bends[2], 0.6 * (R + 5e-4) / 0.027)
-
-
-def test_memory_has_no_default_length():
-    with pytest.raises(RobotDescriptionError, match='presliding_length'):
-        Model(planar(2, {'friction_memory': {}}))
 
 
 def test_a_search_goes_to_the_end_of_a_narrow_valley_before_it_looks_elsewhere():

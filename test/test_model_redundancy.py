@@ -127,30 +127,19 @@ def test_where_it_is_asked_no_tendon_is_near_slack_or_its_limit():
     assert found.tensions.max() < 4.51
 
 
-def test_the_tip_stiffens_twice_and_stays():
-    model = arm(remembers=True)
+@pytest.mark.parametrize(
+    ('low_tension', 'enough', 'times'), [(0.0, 0.0, (2.0, np.inf)), (0.1, 2.0, (1.99, 2.1))]
+)
+def test_the_tip_stiffens_twice_and_stays_and_where_that_is_enough_no_more(
+    low_tension, enough, times
+):
+    model, along = arm(remembers=True), (1.0, 0.0, 0.0)
     there = model.shape([0.9, 0.2, 0.2, 0.6])
-    wants = Preferences(low_tension=0.0, stiffness=0.1, stiffness_direction=(1.0, 0.0, 0.0))
+    before = model.tip_stiffness(there).along(along)
+    wants = Preferences(low_tension, 0.1, along, stiffness_enough=enough * before)
     found = model.reach(there.tip_position, guess=there, memory=there.memory, preferences=wants)
-    along = [model.tip_stiffness(shape).along([1, 0, 0]) for shape in (there, found.shape)]
-    assert along[1] > 2.0 * along[0] > 0.0
-    assert found.position_error < 2e-5
-
-
-def test_a_tip_that_is_stiff_enough_asks_for_no_more_tension():
-    model = arm(remembers=True)
-    there = model.shape([0.9, 0.2, 0.2, 0.6])
-    before = model.tip_stiffness(there).along([1, 0, 0])
-    wants = Preferences(
-        low_tension=0.1,
-        stiffness=0.1,
-        stiffness_direction=(1.0, 0.0, 0.0),
-        stiffness_enough=2.0 * before,
-    )
-    found = model.reach(there.tip_position, guess=there, memory=there.memory, preferences=wants)
-    made = model.tip_stiffness(found.shape).along([1, 0, 0])
-    assert 1.99 < made / before < 2.1
-    assert found.position_error < 2e-5
+    assert times[0] < model.tip_stiffness(found.shape).along(along) / before < times[1]
+    assert before > 0.0 and found.position_error < 2e-5
 
 
 def test_a_wall_at_the_target_keeps_the_tip_at_its_distance():

@@ -28,16 +28,21 @@ def around(cells=8, helix=0.0, effects=None, count=3):
     )
 
 
-def test_a_moment_about_the_axis_twists_a_straight_rod_by_the_moment_over_its_stiffness():
-    """A weight beside the axis at the tip: M L / GJ, half in the cell in whose middle it is."""
-    weight, beside, cells = 1e-6, 0.02, 8
+def weighing(cells, weight, beside):
+    """Return an arm held level whose weight [N] lies beside the axis [m], all in its last cell."""
     robot = around(cells, effects=TORSION | {'gravity': {'linear_density': 1.0}})
     last = replace(
         robot.sections[0],
         mass_profile=(1e-12,) * (cells - 1) + (weight / (9.81 * L),),
         mass_offset=((0.0, 0.0),) * (cells - 1) + ((0.0, beside),),
     )
-    shape = Model(replace(robot, sections=(last,), gravity=(9.81, 0.0, 0.0))).shape([0.0] * 3)
+    return Model(replace(robot, sections=(last,), gravity=(9.81, 0.0, 0.0)))
+
+
+def test_a_moment_about_the_axis_twists_a_straight_rod_by_the_moment_over_its_stiffness():
+    """A weight beside the axis at the tip: M L / GJ, half in the cell in whose middle it is."""
+    weight, beside, cells = 1e-6, 0.02, 8
+    shape = weighing(cells, weight, beside).shape([0.0] * 3)
     expected = -1.3 * weight * beside / K * np.array([1.0] * (cells - 1) + [0.5])
     assert np.allclose(shape.twist, expected, rtol=1e-6)
     # the frames carry it: about z, from base to tip
@@ -66,13 +71,8 @@ def test_tendons_that_wind_unwind_a_straight_arm(straight):
 def test_tendons_along_the_arm_stiffen_it_in_twist():
     """A small moment about the axis: phi = M / (K / compliance + sum T r² / L)."""
     weight, beside, tension = 1e-6, 0.02, 5.0
-    robot = around(1, effects=TORSION | {'gravity': {'linear_density': 1.0}})
-    one = replace(
-        robot.sections[0], mass_profile=(weight / (9.81 * L),), mass_offset=((0.0, beside),)
-    )
-    model = Model(replace(robot, sections=(one,), gravity=(9.81, 0.0, 0.0)))
     stiffness = K / 1.3 + 3.0 * tension * R**2 / L
-    twist = model.shape([tension] * 3).twist[0]
+    twist = weighing(1, weight, beside).shape([tension] * 3).twist[0]
     assert twist == pytest.approx(-0.5 * weight * beside / stiffness, rel=1e-6)
 
 

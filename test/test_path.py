@@ -23,22 +23,22 @@ from tendon_robot_ros.workspace.volume import Sampling
 
 PLACES = np.array([[0.0, 0.0, 0.2], [0.06, 0.0, 0.17], [0.08, 0.0, 0.14]])
 NONE = np.full((3, 3), np.nan)
+TIMED = tip_path(np.array([0.0, 2.0, 3.0]), PLACES, NONE)
 WIDE = Pace(speed=1e3, turning=1e3, tension=1e3)
 
 
 def test_a_path_goes_through_its_rows_at_their_times():
-    path = tip_path(np.array([0.0, 2.0, 3.0]), PLACES, NONE)
+    path = TIMED
     assert path.positions[path.rows] == pytest.approx(PLACES)
     assert path.times[path.rows] == pytest.approx([0.0, 2.0, 3.0])
     assert np.linalg.norm(np.diff(path.positions, axis=0), axis=1).max() < 0.0025
 
 
 def test_a_smooth_path_rests_at_its_ends_and_never_overshoots_its_rows():
-    path = tip_path(np.array([0.0, 2.0, 3.0]), PLACES, NONE)
-    speeds = np.linalg.norm(np.diff(path.positions, axis=0), axis=1) / np.diff(path.times)
+    speeds = np.linalg.norm(np.diff(TIMED.positions, axis=0), axis=1) / np.diff(TIMED.times)
     assert max(speeds[0], speeds[-1]) < 0.1 * speeds.max()
     low, high = PLACES.min(axis=0) - 1e-12, PLACES.max(axis=0) + 1e-12
-    assert np.all((path.positions >= low) & (path.positions <= high))
+    assert np.all((TIMED.positions >= low) & (TIMED.positions <= high))
 
 
 def test_a_linear_path_is_straight_and_evenly_timed():
@@ -79,8 +79,7 @@ def test_set_points_stand_until_the_next_one_and_a_stream_is_a_path():
 
 
 def test_a_plan_keeps_every_limit_and_the_given_times_where_it_can():
-    path = tip_path(np.array([0.0, 2.0, 3.0]), PLACES, NONE)
-    start = model().shape(np.full(4, 0.1))
+    path, start = TIMED, model().shape(np.full(4, 0.1))
     free = Plan(model(), path, WIDE, start)
     assert free.duration == pytest.approx(3.0)
     pace = Pace(speed=0.02, turning=1e3, tension=0.5)

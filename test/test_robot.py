@@ -1,6 +1,9 @@
 """Robot descriptions: what is read, what is refused and how, and the way back to YAML."""
 
 import dataclasses
+import re
+from functools import reduce
+from operator import getitem
 
 import pytest
 import yaml
@@ -77,111 +80,93 @@ def test_tendons_that_wind_or_go_cell_by_cell_and_weight_beside_the_axis():
 def change(path, value):
     """Return the description with one value replaced, or a key taken out (None)."""
     content = yaml.safe_load(ARM)
-    at = content
-    for key in path[:-1]:
-        at = at[key]
+    *above, last = (int(key) if key.isdigit() else key for key in re.findall(r'\w+', path))
+    at = reduce(getitem, above, content)
+    at[last] = value
     if value is None:
-        del at[path[-1]]
-    else:
-        at[path[-1]] = value
-    return yaml.safe_dump(content)
+        del at[last]
+    return yaml.safe_dump(content, allow_unicode=True)
 
 
-BAD = [
-    (('sections', 0, 'cell_length'), -0.01, 'sections[0].cell_length: expected a finite number '
-     'from 1e-06 to 10 [m], got -0.01'),
-    (('sections', 0, 'cell_length'), 'long', "sections[0].cell_length: expected a number from "
-     "1e-06 to 10 [m], got 'long'"),
-    (('sections', 0, 'cells'), 0, 'sections[0].cells: expected a whole number from 1 to 10000, '
-     'got 0'),
-    (('sections', 0, 'cells'), 2.5, 'sections[0].cells: expected a whole number from 1 to 10000, '
-     'got 2.5'),
-    (('sections', 0, 'cells'), True, 'sections[0].cells: expected a whole number from 1 to '
-     '10000, got True'),
-    (('sections', 0, 'bending_stiffness'), [1.0, 2.0], 'sections[0].bending_stiffness: expected '
-     "one number or 3 of them (one per cell), got '2 numbers'"),
-    (('sections', 0, 'bending_stiffness'), 0.0, 'sections[0].bending_stiffness: expected a finite '
-     'number from 1e-12 to 1e+06 [N·m/rad], got 0.0'),
-    (('sections', 0, 'bends_as'), 'ark', "sections[0].bends_as: expected one of arc, hinge, got "
-     "'ark'"),
-    (('sections', 1, 'name'), 'near', "sections: expected names that differ, got 'near'"),
-    (('sections', 0, 'stiff'), 1.0, "sections[0].stiff: expected one of name, cells, cell_length, "
+def refused(read, path, value, said):
+    """Check that what is read of a changed description is refused in these words."""
+    said = said if ': expected ' in said else f'{path}: expected {said}, got {value!r}'
+    with pytest.raises(RobotDescriptionError) as caught:
+        read(parse_robot(change(path, value), 'arm.yaml'))
+    assert str(caught.value) == f'arm.yaml: {said}'
+
+
+BAD = [  # key, value, and what was expected there; or all that is said
+    ('sections[0].cell_length', -0.01, 'a finite number from 1e-06 to 10 [m]'),
+    ('sections[0].cell_length', 'long', 'a number from 1e-06 to 10 [m]'),
+    ('sections[0].cells', 0, 'a whole number from 1 to 10000'),
+    ('sections[0].cells', 2.5, 'a whole number from 1 to 10000'),
+    ('sections[0].cells', True, 'a whole number from 1 to 10000'),
+    ('sections[0].bending_stiffness', [1.0, 2.0], "sections[0].bending_stiffness: expected one "
+     "number or 3 of them (one per cell), got '2 numbers'"),
+    ('sections[0].bending_stiffness', 0.0, 'a finite number from 1e-12 to 1e+06 [N·m/rad]'),
+    ('sections[0].bends_as', 'ark', 'one of arc, hinge'),
+    ('sections[1].name', 'near', "sections: expected names that differ, got 'near'"),
+    ('sections[0].stiff', 1.0, "sections[0].stiff: expected one of name, cells, cell_length, "
      "bending_stiffness, mass_profile, bends_as, mass_offset, got 'stiff'"),
-    (('sections', 0, 'mass_offset'), [3.0, 0.0], 'sections[0].mass_offset: expected an offset '
-     'below 1 m (is it in mm?), got [3.0, 0.0]'),
-    (('sections', 0, 'mass_offset'), [[0.0, 0.0], [0.0, 0.001]], 'sections[0].mass_offset: '
-     "expected 3 offsets [x, y] (one per cell), got '2 of them'"),
-    (('sections', 0, 'mass_offset'), [[0, 0], [0, 0], 0.001], 'sections[0].mass_offset[2]: '
-     'expected a list of 2 numbers, got 0.001'),
-    (('sections',), [], 'sections: expected a list with at least one entry, got []'),
-    (('tendons', 0, 'section'), 'middle', "tendons[0].section: expected one of near, far, got "
-     "'middle'"),
-    (('tendons', 0, 'offset'), [5.0, 0.0], 'tendons[0].offset: expected an offset below 1 m (is '
-     'it in mm?), got [5.0, 0.0]'),
-    (('tendons', 0, 'offset'), 0.005, 'tendons[0].offset: expected a list of 2 numbers, got '
-     '0.005'),
-    (('tendons', 0, 'offset'), {'base': [0.0, 0.1]}, 'tendons[0].offset.end: expected a list of 2 '
+    ('sections[0].mass_offset', [3.0, 0.0], 'an offset below 1 m (is it in mm?)'),
+    ('sections[0].mass_offset', [[0.0, 0.0], [0.0, 0.001]], "sections[0].mass_offset: expected "
+     "3 offsets [x, y] (one per cell), got '2 of them'"),
+    ('sections[0].mass_offset', [[0, 0], [0, 0], 0.001], 'sections[0].mass_offset[2]: expected '
+     'a list of 2 numbers, got 0.001'),
+    ('sections', [], 'a list with at least one entry'),
+    ('tendons[0].section', 'middle', 'one of near, far'),
+    ('tendons[0].offset', [5.0, 0.0], 'an offset below 1 m (is it in mm?)'),
+    ('tendons[0].offset', 0.005, 'a list of 2 numbers'),
+    ('tendons[0].offset', {'base': [0.0, 0.1]}, 'tendons[0].offset.end: expected a list of 2 '
      'numbers, got None'),
-    (('tendons', 0, 'offset'), {'base': [0.0, 0.1], 'helix': 400.0}, 'tendons[0].offset.'
-     'helix: expected a finite number from -157.08 to 157.08 [rad/m], got 400.0'),
-    (('tendons', 1, 'offset'), {'cells': [[0.005, 0.0]] * 3}, 'tendons[1].offset.cells: expected '
-     "5 offsets [x, y] (one per cell), got '3 of them'"),
-    (('tendons', 0, 'offset'), {'cells': [[0.005, 0.0]] * 3, 'end': [0.0, 0.005]}, 'tendons[0].'
-     "offset.end: expected nothing beside cells, which say it all, got 'end'"),
-    (('tendons', 0, 'name'), 'b2', "tendons: expected names that differ, got 'b2'"),
-    (('tendons', 0, 'name'), 'b', "tendons: expected group names that are not tendon names, got "
-     "'b'"),
-    (('tendons', 0, 'name'), True, 'tendons[0].name: expected a name (put it in quotes: YAML '
-     'reads it otherwise), got True'),
-    (('tendons', 0, 'name'), 'a,b', "tendons[0].name: expected a name without comma, equals sign "
-     "or line break, got 'a,b'"),
-    (('tension_limits',), [5.0, 0.1], 'tension_limits: expected [lowest, highest] with 0 <= '
-     'lowest < highest [N], got [5.0, 0.1]'),
-    (('tension_limits',), [-1.0, 4.0], 'tension_limits: expected [lowest, highest] with 0 <= '
-     'lowest < highest [N], got [-1.0, 4.0]'),
-    (('tension_limits',), None, 'tension_limits: expected a list of 2 numbers, got None'),
-    (('gravity',), [0.0, 9.81], 'gravity: expected a list of 3 numbers, got [0.0, 9.81]'),
-    (('tolerances', 'stiffness'), 0.1, 'tolerances.stiffness: expected one of bending_stiffness, '
+    ('tendons[0].offset', {'base': [0.0, 0.1], 'helix': 400.0},
+     'tendons[0].offset.helix: expected a finite number from -157.08 to 157.08 [rad/m], got '
+     '400.0'),
+    ('tendons[1].offset', {'cells': [[0.005, 0.0]] * 3},
+     "tendons[1].offset.cells: expected 5 offsets [x, y] (one per cell), got '3 of them'"),
+    ('tendons[0].offset', {'cells': [[0.005, 0.0]] * 3, 'end': [0.0, 0.005]},
+     "tendons[0].offset.end: expected nothing beside cells, which say it all, got 'end'"),
+    ('tendons[0].name', 'b2', "tendons: expected names that differ, got 'b2'"),
+    ('tendons[0].name', 'b', "tendons: expected group names that are not tendon names, got 'b'"),
+    ('tendons[0].name', True, 'a name (put it in quotes: YAML reads it otherwise)'),
+    ('tendons[0].name', 'a,b', 'a name without comma, equals sign or line break'),
+    ('tension_limits', [5.0, 0.1], '[lowest, highest] with 0 <= lowest < highest [N]'),
+    ('tension_limits', [-1.0, 4.0], '[lowest, highest] with 0 <= lowest < highest [N]'),
+    ('tension_limits', None, 'a list of 2 numbers'),
+    ('gravity', [0.0, 9.81], 'a list of 3 numbers'),
+    ('tolerances.stiffness', 0.1, "tolerances.stiffness: expected one of bending_stiffness, "
      "cell_stiffness, cell_kink, channel_gain, hole_radius, pull_zero, friction_coefficient, "
      "tension_gain, position, rotation, got 'stiffness'"),
-    (('effects', 'tendon_friction'), 0.3, 'effects.tendon_friction: expected keys with values, '
-     'got 0.3'),
-    (('effects', 'tendon_friction', 'friction_coefficient'), '.3.', 'effects.tendon_friction.'
-     "friction_coefficient: expected a number [SI], got '.3.'"),
-    (('limits',), [0, 1], "limits: expected one of name, sections, tendons, tension_limits, "
+    ('effects.tendon_friction', 0.3, 'keys with values'),
+    ('effects.tendon_friction.friction_coefficient', '.3.', 'a number [SI]'),
+    ('limits', [0, 1], "limits: expected one of name, sections, tendons, tension_limits, "
      "effects, gravity, tolerances, fitted, exact, model_error, got 'limits'"),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(('path', 'value', 'message'), BAD, ids=lambda part: str(part)[:40])
-def test_a_bad_value_is_named_with_file_key_expectation_and_what_came(path, value, message):
-    with pytest.raises(RobotDescriptionError) as caught:
-        parse_robot(change(path, value), 'arm.yaml')
-    assert str(caught.value) == f'arm.yaml: {message}'
+@pytest.mark.parametrize(('path', 'value', 'said'), BAD, ids=lambda part: str(part)[:40])
+def test_a_bad_value_is_named_with_file_key_expectation_and_what_came(path, value, said):
+    refused(str, path, value, said)
 
 
 IN_THE_MODEL = [
-    (('tendon_friction', 'friction_coefficient'), 1.2, 'effects.tendon_friction.'
-     'friction_coefficient: expected a number from 0 to 1 [1], got 1.2'),
-    (('tendon_friction', 'mu'), 0.2, 'effects.tendon_friction.mu: expected one of '
+    ('effects.tendon_friction.friction_coefficient', 1.2, 'a number from 0 to 1 [1]'),
+    ('effects.tendon_friction.mu', 0.2, "effects.tendon_friction.mu: expected one of "
      "friction_coefficient, got 'mu'"),
-    (('section_stiffness', 'relative_change'), [0.1, 0.2, 0.3], 'effects.section_stiffness.'
-     'relative_change: expected 2 numbers (one per section), got [0.1, 0.2, 0.3]'),
-    (('tendon_friction', 'friction_coefficient'), [0.1, 0.2], 'effects.tendon_friction.'
-     'friction_coefficient: expected one number, got [0.1, 0.2]'),
+    ('effects.section_stiffness.relative_change', [0.1, 0.2, 0.3], '2 numbers (one per section)'),
+    ('effects.tendon_friction.friction_coefficient', [0.1, 0.2], 'one number'),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(('path', 'value', 'message'), IN_THE_MODEL)
-def test_a_bad_effect_parameter_is_named_by_the_model(path, value, message):
-    robot = parse_robot(change(('effects', *path), value), 'arm.yaml')
-    with pytest.raises(RobotDescriptionError) as caught:
-        Model(robot)
-    assert str(caught.value) == f'arm.yaml: {message}'
+@pytest.mark.parametrize(('path', 'value', 'said'), IN_THE_MODEL)
+def test_a_bad_effect_parameter_is_named_by_the_model(path, value, said):
+    parse_robot(change(path, value))
+    refused(Model, path, value, said)
 
 
 def test_an_unknown_effect_is_answered_with_the_known_ones():
-    robot = parse_robot(change(('effects', 'humidity'), {'share': 1.0}), 'arm.yaml')
+    robot = parse_robot(change('effects.humidity', {'share': 1.0}), 'arm.yaml')
     with pytest.raises(TendonRobotError) as caught:
         Model(robot)
     message = str(caught.value)
@@ -252,16 +237,9 @@ PATHS = [bad[0] for bad in BAD]
 @settings(max_examples=200)
 @given(path=st.sampled_from(PATHS), value=anything)
 def test_whatever_stands_in_a_file_there_is_a_robot_or_one_clear_line(path, value):
-    if value is None:
-        return
-    content = yaml.safe_load(ARM)
-    at = content
-    for key in path[:-1]:
-        at = at[key]
-    at[path[-1]] = value
     said = ''
     try:
-        assert parse_robot(yaml.safe_dump(content, allow_unicode=True), 'arm.yaml').cells > 0
+        assert parse_robot(change(path, value), 'arm.yaml').cells > 0
     except RobotDescriptionError as error:
         said = str(error)
     assert not said or said.startswith('arm.yaml: ')

@@ -101,6 +101,12 @@ def test_a_size_that_matters_follows_the_robot(effect):
         assert np.allclose(found, expected, rtol=0, atol=2e-4 * change + 1e-7)
 
 
+def alike(robot, length):
+    """Return models of a robot and of one so many times as long, which loads bend alike."""
+    force = length**2
+    return Model(robot), Model(scaled(robot, length, length * force)), force
+
+
 def noise_of(length):
     """Return the noise of trackers that follow the robot, too."""
     return Noise(2e-4 * length, 0.004, 0.002, np.inf, 'declared')
@@ -141,9 +147,7 @@ def test_a_scaled_robot_with_scaled_data_gets_the_same_verdict(name, values, kin
 @pytest.mark.parametrize('name', ['kato_10_1', 'spatial_3'])
 @pytest.mark.parametrize('length', [0.2, 10.0])
 def test_a_stream_of_targets_is_followed_alike(name, length):
-    robot = load_robot(name)
-    force = length**2
-    small, other = Model(robot), Model(scaled(robot, length, length * force))
+    small, other, force = alike(load_robot(name), length)
     low, high = small.limits.T
     spread = np.linspace(0.05, 0.12, len(low)) * (high - low)
     way = low + spread * np.linspace(0.5, 1.5, 8)[:, None]
@@ -160,10 +164,9 @@ def test_a_stream_of_targets_is_followed_alike(name, length):
 @pytest.mark.parametrize('length', [0.2, 10.0])
 def test_friction_at_rest_takes_the_same_sides(length):
     robot = load_robot('kato_10_1').with_effect('friction_memory', {'presliding_length': 2e-4})
-    force, found = length**2, []
-    low, high = Model(robot).limits.T
-    for scale, pull in ((1.0, 1.0), (length, force)):
-        model = Model(scaled(robot, scale, scale * pull))
+    small, other, force = alike(robot, length)
+    found, (low, high) = [], small.limits.T
+    for model, scale, pull in ((small, 1.0, 1.0), (other, length, force)):
         here = model.shape(pull * (low + 0.1 * (high - low)))
         past, move = here.memory.copy(), 1e-3 * pull * np.array([1.0, -0.5, 0.3, -1.0])
         turned = take_sides(model, here, past, move @ tip_and_state_slopes(model, here, past)[1])
@@ -174,8 +177,7 @@ def test_friction_at_rest_takes_the_same_sides(length):
 
 @pytest.mark.parametrize('length', [0.2, 10.0])
 def test_what_is_preferred_moves_the_tip_of_robots_of_all_sizes_alike(length):
-    robot, force = load_robot('kato_10_1'), length**2
-    small, other = Model(robot), Model(scaled(robot, length, length * force))
+    small, other, force = alike(load_robot('kato_10_1'), length)
     there, wants = small.shape([1.4, 0.8, 0.9, 1.1]), Preferences(low_tension=1.0)
     guess = other.shape(force * there.inputs)
     found = small.reach(there.tip_position, guess=there, preferences=wants)
@@ -188,8 +190,8 @@ def test_what_is_preferred_moves_the_tip_of_robots_of_all_sizes_alike(length):
 @pytest.mark.parametrize('length', [0.2, 10.0])
 def test_tensions_for_a_target_are_the_same_for_robots_of_all_sizes(name, length):
     """Loads and stiffness follow the length, so that the arm bends alike."""
-    robot, force = loaded(load_robot(name).without_effect('tendon_friction')), length**2
-    small, other = Model(robot), Model(scaled(robot, length, length * force))
+    robot = loaded(load_robot(name).without_effect('tendon_friction'))
+    small, other, force = alike(robot, length)
     low, high = small.limits.T
     for fractions in np.random.default_rng(2).random((4, len(low))):
         place = small.shape(low + 0.1 * fractions * (high - low)).tip_position
