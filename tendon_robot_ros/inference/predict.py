@@ -19,7 +19,6 @@ from ..model.derivatives import (
     Move,
     PathSlopes,
     follow,
-    shown,
     tensions_by_pulls,
 )
 from ..model.forward import TOLERANCE
@@ -389,11 +388,10 @@ class Predictor:
             then = SettledShapes(np.empty_like(settled.tensions), np.empty_like(settled.state))
             for part, path in zip(self.parts, slopes, strict=True):
                 self.set_parameters(moved, part)
-                tensions, states = path.equilibria(self.given(self.inputs)[part.rows])
+                along = path.shapes(self.given(self.inputs)[part.rows])
                 seen = self._shown[part.rows]
-                along = shown(self.model, tensions, states, carry=True)
                 placed[part.rows[seen]] = self.see(along.of(seen))
-                then.tensions[part.rows], then.state[part.rows] = tensions, states
+                then.tensions[part.rows], then.state[part.rows] = along.inputs, along.state
             return placed, then
 
         return near

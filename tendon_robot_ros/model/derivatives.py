@@ -180,12 +180,8 @@ class PathSlopes:
         return cls(model, inputs, states, answers, by_tension, held, by_pulls)
 
     def shapes(self, commanded: Floats) -> ShapeBatch:
-        """Return the shapes (b) of the model as it is now, to first order; see `equilibria`."""
-        return shown(self.model, *self.equilibria(commanded), carry=True)
-
-    def equilibria(self, commanded: Floats) -> tuple[Floats, Floats]:
         """
-        Return tensions (b, m) [N] and states (b, 3n) [rad] of the model, to first order.
+        Return the shapes (b) of the model as it is now, to first order.
 
         Parameters
         ----------
@@ -209,7 +205,7 @@ class PathSlopes:
             self.by_tension,
             self.held,
         )
-        return inputs, states
+        return shown(model, inputs, states, carry=True)
 
 
 @dataclass(frozen=True)
