@@ -161,6 +161,17 @@ def test_by_stiffness_of_cells_that_bow_under_a_load():
     assert np.allclose(found, expected, rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.parametrize('friction', [[], ['tendon_friction', 'straight_tendon']])
+def test_of_a_slack_tendon_whose_reading_has_an_offset_they_are_those_of_a_pulled_one(friction):
+    """An offset is that of tendons that are pulled: at zero the law jumps."""
+    model = Model(arm(friction).with_effect('tension_offset', {'offset': 1e-3}))
+    slack, step = TENSIONS[1], 1e-5 * np.eye(6)
+    pulled = model.shapes(slack + 2.0 * step).tip - model.shapes(slack + step).tip
+    by_all = model.derivatives(model.shapes(slack[None]), model.inputs, lambda batch: batch.tip)
+    for found in (model.jacobian(slack), by_all[0]):
+        assert np.abs(found - pulled.T / 1e-5).max() < 5e-3 * np.abs(found).max()
+
+
 def test_of_no_posture_there_are_none():
     model = Model(arm(['gravity']))
     columns = ['near_0', ('gravity', 'linear_density')]

@@ -259,9 +259,9 @@ class Move:
 
     @classmethod
     def of_tension(cls, j: int, tensions: Floats, step: float = TENSION_STEP) -> Move:
-        """Move an input of tensions (b, m) [N], never below zero."""
-        up = np.full(len(tensions), step)
-        down, moved = -np.minimum(step, tensions[:, j]), np.array([tensions, tensions])
+        """Move an input of tensions (b, m) [N], never to zero or below, where laws may jump."""
+        slack, moved = tensions[:, j] < step, np.array([tensions, tensions])
+        up, down = np.where(slack, 2.0 * step, step), np.where(slack, step, -step)
         moved[0, :, j] += up
         moved[1, :, j] += down
         return cls(up, down, tensions=moved)

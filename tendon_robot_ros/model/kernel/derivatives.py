@@ -40,6 +40,14 @@ AHEAD_RAD = DIFFERENCE_STEP  # [rad] step of a state that shows to which side ey
 
 
 @compiled
+def span(tension):
+    """Begin and width [N] of a difference by a tension: beyond zero, where laws may jump."""
+    if tension < LEAST_TENSION_N:
+        return tension + LEAST_TENSION_N, LEAST_TENSION_N
+    return tension - LEAST_TENSION_N, 2.0 * LEAST_TENSION_N
+
+
+@compiled
 def combine_tendons(chain, inputs, pulls, rows):
     """
     Fill the derivatives of a state by inputs, rows (m or more, u), from those by tendons (k, u).
@@ -52,9 +60,9 @@ def combine_tendons(chain, inputs, pulls, rows):
             rows[j, q] = 0.0
     for k in range(chain.k):
         j = tendon[2 * k + 1]
-        down = min(tension[j], LEAST_TENSION_N)
-        rate = stages.actuation(tension[j] + LEAST_TENSION_N, chain, k)
-        rate = (rate - stages.actuation(tension[j] - down, chain, k)) / (LEAST_TENSION_N + down)
+        begin, width = span(tension[j])
+        rate = stages.actuation(begin + width, chain, k) - stages.actuation(begin, chain, k)
+        rate /= width
         for q in range(unknowns(chain)):
             rows[j, q] += rate * pulls[k, q]
 
@@ -90,11 +98,11 @@ def input_response(chain, inputs, bend, work, past, rows, central):
         sweep_or_residual(chain, inputs, bend, work, past, address(low))
     for j in range(m):
         was = tension[j]
-        width = LEAST_TENSION_N + (min(was, LEAST_TENSION_N) if central else 0.0)
-        tension[j] = was + LEAST_TENSION_N
+        begin, width = span(was) if central else (was, LEAST_TENSION_N)
+        tension[j] = begin + width
         sweep_or_residual(chain, inputs, bend, work, past, address(filled) + 8 * size * j)
         if central:
-            tension[j] = was + LEAST_TENSION_N - width
+            tension[j] = begin
             sweep_or_residual(chain, inputs, bend, work, past, address(low))
         tension[j] = was
         for q in range(size):
