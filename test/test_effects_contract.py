@@ -114,15 +114,6 @@ def test_neutral_is_exactly_off(effect):
     assert np.allclose(seen(model, INPUTS), seen(Model(base), INPUTS), rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize('effect', EFFECTS)
-def test_an_absent_effect_leaves_nothing_behind(effect):
-    base = with_effects(planar(), 'eyelet_wrap')
-    model = Model(base.with_effect(effect, VALUES[effect]).without_effect(effect))
-    if effect in base.effects:
-        base = base.without_effect(effect)
-    assert np.array_equal(seen(model, INPUTS), seen(Model(base), INPUTS))
-
-
 @pytest.mark.parametrize('effect', [e for e in CATALOGUE if e.acts_on], ids=lambda e: e.name)
 def test_what_shapes_friction_does_nothing_without_it(effect):
     base = planar()
