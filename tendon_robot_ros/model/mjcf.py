@@ -281,16 +281,12 @@ def unsaid(laws: Laws) -> list[Effect]:
 
 def _add(parent: Xml, tag: str, **attributes: str | float | Sequence[float]) -> Xml:
     """Add an element whose attributes are words, or numbers that MJCF reads."""
-    texts = {
-        key: value if isinstance(value, str) else _text(np.atleast_1d(value).tolist())
-        for key, value in attributes.items()
-    }
-    return ElementTree.SubElement(parent, tag, texts)
+    element = ElementTree.SubElement(parent, tag)
+    for key, value in attributes.items():
+        numbers = [] if isinstance(value, str) else np.atleast_1d(value).tolist()
+        element.set(key, ' '.join(f'{number:.9g}' for number in numbers) or str(value))
+    return element
 
 
 def _site(body: Xml, name: str, place: Sequence[float]) -> None:
     _add(body, 'site', name=name, pos=place, size=0.0005)
-
-
-def _text(numbers: Sequence[float]) -> str:
-    return ' '.join(f'{number:.9g}' for number in numbers)
