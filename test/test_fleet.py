@@ -11,9 +11,9 @@ import simulated
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data import save_dataset
 from tendon_robot_ros.diagnosis.verdict import Verdict
-from tendon_robot_ros.model.versions import UserEffect
 from tendon_robot_ros.studies import fleet
 from tendon_robot_ros.studies.fleet import (
+    Fleet,
     FleetCase,
     FleetRow,
     changes,
@@ -37,6 +37,11 @@ def row(when='2026-01-01', lever=1.0, before=1e-3, **others):
         'low': (lever - 0.1,), 'high': (lever + 0.1,),
     }  # fmt: skip
     return FleetRow(**content | others)
+
+
+def command(folder):
+    told = ['--output', str(folder / 'out'), '--workers', '1']
+    return ['study', 'fleet', str(folder / 'in'), *told]
 
 
 def texts(*rows):
@@ -89,7 +94,7 @@ def test_a_folder_above_all_measurements_dates_none(tmp_path):
     (bag / 'metadata.yaml').write_text(
         'rosbag2_bagfile_information: {starting_time: {nanoseconds_since_epoch: 86400000000000}}'
     )
-    row = FleetCase.of(bag, folder).refused('')
+    row = Fleet(question='fleet').refused(FleetCase.of(bag, folder), '')
     assert (row.when, row.dated_by) == ('1970-01-02T00:00+00:00', 'recording')
 
 
@@ -97,7 +102,7 @@ def test_another_effect_or_description_elsewhere_is_another_case(tmp_path):
     place = tmp_path / 'in' / 'run'
     save_dataset(simulated.measured(ROBOT, count=3, trials=2), place)
     before = FleetCase.of(place, tmp_path)
-    assert FleetCase.of(place, tmp_path, [UserEffect('mine.py', '')]).key != before.key
+    assert FleetCase.of(place, tmp_path, {'catalogue': 'mine'}).key != before.key
     (place / 'robot.yaml').rename(tmp_path / 'arm.yaml')
     content = (place / 'dataset.yaml').read_text()
     (place / 'dataset.yaml').write_text(content.replace('robot.yaml', '../../arm.yaml'))
@@ -114,15 +119,7 @@ def test_the_command_diagnoses_what_is_new_and_names_what_cannot_be_read(tmp_pat
         save_dataset(simulated.measured(ROBOT, hidden, count=5, trials=3), tmp_path / 'in' / name)
     (tmp_path / 'in' / 'broken').mkdir()
     (tmp_path / 'in' / 'broken' / 'dataset.yaml').write_text('robot: none.yaml\n')
-    call = [
-        'study',
-        'fleet',
-        str(tmp_path / 'in'),
-        '--output',
-        str(tmp_path / 'out'),
-        '--workers',
-        '1',
-    ]
+    call = command(tmp_path)
     assert main(call) == 0
     printed = capsys.readouterr().out
     assert '2026-05-20 (since 2026-01-10): adequate before, now missing effect: hinge_f' in printed
@@ -149,19 +146,23 @@ def test_a_measurement_at_which_the_program_fails_is_named_and_the_others_go_on(
         return real(*arguments, **options)
 
     monkeypatch.setattr(fleet, 'diagnose', first_fails)
-    call = [
-        'study',
-        'fleet',
-        str(tmp_path / 'in'),
-        '--output',
-        str(tmp_path / 'out'),
-        '--workers',
-        '1',
-    ]
+    call = command(tmp_path)
     assert main(call) == 0
     told = capsys.readouterr().out
     assert 'left out: 2026-01-10: IndexError: a mistake of this program' in told
     assert len(asked) == 2
+    monkeypatch.setattr(fleet, 'versions', lambda effects: {'numpy': '1.0'})
+    assert main(call) == 0
+    assert 'left out' not in capsys.readouterr().out
+    assert len(asked) == 4, 'rows of other versions do not count'
+
+
+def test_an_interval_without_an_end_is_drawn_and_said():
+    rows = [row(high=(np.inf,)), row('2026-02-01', lever=0.5, high=(0.6,))]
+    bars = map_parameters(rows)[0].data[0]['error_y']['array']
+    assert bars == [None, pytest.approx(0.1)]
+    assert 'hinge_friction lever: 1.0 (0.90 to infinite) before, now 0.50' in texts(*rows)[0]
+    assert fleet_page(rows, 'Fleet').html()
 
 
 def test_a_folder_without_measurements_is_one_line(tmp_path, capsys):

@@ -3,8 +3,8 @@ Diagnose all recordings and data sets below a folder, and say what changed when,
 
 Robots are told apart by the name in their descriptions. When something was measured is told by a
 date in its name (2026-03-14, 20260314), else by the recording itself, else by its files.
-OUTPUT holds the table (Parquet) and fleet.html; what stands in the table is not diagnosed again,
-so that the same command adds what has come since.
+OUTPUT holds the table (Parquet) and fleet.html; what stands in the table is not diagnosed again
+by the same code and libraries, so that the same command adds what has come since.
 
 example: python -m tendon_robot_ros study fleet data/hinge_friction --output history
 """
@@ -15,7 +15,7 @@ import argparse
 import hashlib
 import itertools
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, date, datetime
@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ..cli.options import add_cluster, declare, emit, progress
 from ..common.colours import BEFORE, FLOOR, PREDICTED
@@ -39,8 +40,8 @@ from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding
 from ..diagnosis.verdict import Verdict
 from ..inference.intervals import Value
-from ..model.versions import Preparation, UserEffect, catalogue_of
-from ..report.page import Figure, Page, axes, error_bars, mm_list, titled, trace
+from ..model.versions import Preparation, UserEffect, catalogue_of, versions
+from ..report.page import Figure, Page, axes, error_bars, mm_list, plain, titled, trace
 from ..robot import dump_robot
 from .judge import diagnosis_fields, fitted_values, grouped
 from .running import ERROR, TABLE, GrowingTable, Row, Study, judge_all
@@ -68,7 +69,8 @@ def run(args: argparse.Namespace) -> int:
     places, inside = datasets_below(folder), output.resolve()
     study = Fleet(question='fleet', effects=UserEffect.read(args.effect_file))
     below = [place for place in places if inside not in place.resolve().parents]
-    cases = [FleetCase.of(place, folder, study.effects) for place in below]
+    judge = {**versions(study.effects)}
+    cases = [FleetCase.of(place, folder, judge) for place in below]
     prepare = Preparation.of_this_process(study.effects)
     with Workers(args.workers, args.cluster, prepare) as workers, progress(True) as show:
         table = GrowingTable(output / TABLE, FleetRow)
@@ -113,49 +115,38 @@ class FleetCase:
 
     path: Path  # absolute
     place: str  # below the folder of all
-    key: str  # its place, and a digest of the user's effects and of size and time of its files
+    key: str  # its place, and a digest of versions and of size and time of its files
 
     @classmethod
-    def of(cls, path: Path, folder: Path, effects: Sequence[UserEffect] = ()) -> FleetCase:
-        """Return the case of a path below a folder."""
+    def of(cls, path: Path, folder: Path, judge: object = ()) -> FleetCase:
+        """Return the case of a path below a folder; `judge`: by which versions it is judged."""
         files = sorted(path.rglob('*')) if path.is_dir() else [path]
         with suppress(TendonRobotError):  # a recording, or what cannot be read
             robot = Path(described_robot(path).source)  # it may lie elsewhere
             files += [robot] if robot not in files else []
-        stamps: list[object] = [*effects]
-        stamps += [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]
-        digest = hashlib.sha256(repr(stamps).encode()).hexdigest()[:12]
+        stamps = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files]
+        digest = hashlib.sha256(repr((judge, stamps)).encode()).hexdigest()[:12]
         place = str(path.relative_to(folder))
         return cls(path.resolve(), place, f'{place}:{digest}')
-
-    def row(self, **told: Any) -> FleetRow:
-        """Return the row of this case with the given fields."""
-        when, dated_by = when_of(self.path, 1 + len(Path(self.place).parts))
-        return FleetRow(key=self.key, place=self.place, when=when, dated_by=dated_by, **told)
-
-    def refused(self, problem: str) -> FleetRow:
-        """Return the row of a recording that could not be read or judged."""
-        return self.row(robot='not read', verdict=ERROR, problem=' '.join(problem.split()))
 
 
 class Fleet(Study[FleetCase, FleetRow]):
     """What is needed to diagnose recordings: a study."""
 
-    def judge(self, case: FleetCase) -> FleetRow:
+    def result(self, case: FleetCase) -> dict[str, Any]:
         """Read and diagnose a recording or data set."""
         try:
             bag = is_bag(case.path)
             dataset = import_bag(case.path).dataset if bag else load_dataset(case.path)
-            diagnosis = diagnose(dataset, catalogue=catalogue_of(self.effects))
-            return case.row(**fields_of(dataset, diagnosis))
-        except TendonRobotError as error:
-            return case.refused(str(error))
-        except Exception as error:  # the other measurements are diagnosed all the same
-            return case.refused(f'{type(error).__name__}: {error}')
+            return fields_of(dataset, diagnose(dataset, catalogue=catalogue_of(self.effects)))
+        except TendonRobotError as error:  # a sentence for its user
+            return {'verdict': ERROR, 'problem': ' '.join(str(error).split())}
 
-    def lost(self, case: FleetCase, workers: int) -> FleetRow:
-        """Return the row of a recording over which every worker died."""
-        return case.refused(f'{workers} processes died over it')
+    def row(self, case: FleetCase, result: Mapping[str, Any]) -> FleetRow:
+        """Return the row of a recording."""
+        when, dated_by = when_of(case.path, 1 + len(Path(case.place).parts))
+        told = {'robot': 'not read', 'when': when, 'dated_by': dated_by, **result}
+        return FleetRow(key=case.key, place=case.place, **told)
 
 
 def fields_of(dataset: DataSet, diagnosis: Diagnosis) -> dict[str, Any]:
@@ -274,13 +265,20 @@ def differences_of(old: FleetRow, new: FleetRow) -> list[str]:
             continue
         if then[1] > first[2] or then[2] < first[1]:  # it has left its interval
             unit = new.unit[new.parameter.index(name)]
-            scale, shown = scale_of(unit, max(map(abs, (*first, *then))), name.split()[-1])
+            scale, shown = _scale(unit, [first, then], name)
             ends = [
                 f'{digits(scale * v)} ({digits(scale * low)} to {digits(scale * high)})'
                 for v, low, high in (first, then)
             ]
             texts.append(f'{name}: {ends[0]} before, now {ends[1]} {shown}'.rstrip())
     return texts
+
+
+def _scale(unit: str, values: npt.ArrayLike, name: str) -> tuple[float, str]:
+    """Return the factor and the unit that suit values, some of which may be infinite."""
+    sizes = np.abs(np.asarray(values, dtype=float))
+    largest = float(sizes[np.isfinite(sizes)].max(initial=0.0))
+    return scale_of(unit, largest, name.split()[-1])
 
 
 def words_of(row: FleetRow) -> str:
@@ -363,10 +361,10 @@ def map_parameters(history: Sequence[FleetRow]) -> list[Figure]:
         rows = [row for row in history if name in row.parameter]
         known = np.array([row.fitted(name) for row in rows])  # (r, 3) value, low, high
         unit = rows[0].unit[rows[0].parameter.index(name)]
-        factor, unit = scale_of(unit, float(np.abs(known).max()), name.rpartition(' ')[2])
+        factor, unit = _scale(unit, known, name)
         value, low, high = factor * known.T
         bars = error_bars(
-            np.maximum(high - value, 0.0).tolist(), np.maximum(value - low, 0.0).tolist()
+            plain(np.maximum(high - value, 0.0)), plain(np.maximum(value - low, 0.0))
         )
         when, line = [row.when for row in rows], {'color': PREDICTED}
         data = [trace(when, value.tolist(), '', 'lines+markers', line=line, error_y=bars)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 import typing
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from pathlib import Path
@@ -59,13 +59,24 @@ class Study[C: Keyed, R: Row]:
     question: str  # name of the kind of work, which one process of a machine compiles for others
     effects: tuple[UserEffect, ...] = field(default=(), repr=False)  # the user's own
 
-    def judge(self, case: C) -> R:
-        """Return the result of a case; an error becomes a row as well."""
+    def result(self, case: C) -> dict[str, Any]:
+        """Return what the row of a case holds beside what the case is."""
         raise NotImplementedError
 
-    def lost(self, case: C, workers: int) -> R:
-        """Return the row of a case over which `workers` workers died."""
+    def row(self, case: C, result: Mapping[str, Any]) -> R:
+        """Return the row of a case."""
         raise NotImplementedError
+
+    def judge(self, case: C) -> R:
+        """Return the row of a case; an error becomes one as well."""
+        try:
+            return self.row(case, self.result(case))
+        except Exception as error:  # whatever a case meets, the others go on and it is counted
+            return self.refused(case, f'{type(error).__name__}: {error}')
+
+    def refused(self, case: C, problem: str) -> R:
+        """Return the row of a case that could not be judged."""
+        return self.row(case, {'verdict': ERROR, 'problem': problem})
 
 
 def judge_chunk[C: Keyed, R: Row](study: Study[C, R], cases: Sequence[C]) -> list[R]:
@@ -111,8 +122,10 @@ def judge_all[C: Keyed, R: Row](
     done, written = 0, time.monotonic()
     try:
         for chunk, result in workers.in_chunks(partial(judge_chunk, study), missing):
-            lost = isinstance(result, LostWork)
-            buffer += [study.lost(case, result.workers) for case in chunk] if lost else result
+            if isinstance(result, LostWork):
+                problem = f'{result.workers} workers died over it'
+                result = [study.refused(case, problem) for case in chunk]
+            buffer += result
             done += len(chunk)
             if time.monotonic() > written + UPKEEP_S:
                 table.append(buffer)
