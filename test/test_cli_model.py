@@ -169,6 +169,12 @@ def test_a_mistake_in_a_command_is_one_line(arguments, message, capsys):
     assert out == '' and message in err and err.count('\n') == 1, err
 
 
+@pytest.mark.parametrize('angle', ['nan', 'inf', '-1'])
+def test_what_is_no_view_angle_is_refused(angle, capsys):
+    assert main(['model', 'workspace', KATO, '--view', angle]) == 1
+    assert f'--view: expected an angle of 0° or more, got {angle}' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ('arguments', 'message'),
     [

@@ -262,8 +262,8 @@ class WorkspaceCommand:
         """Declare the arguments."""
         options.declare(parser, 'robot', '--effect-file')
         add = parser.add_argument
-        what = 'view angle (may be given several times)'
-        add('--view', action='append', type=float, default=[], metavar='DEGREES', help=what)
+        what, angle = 'view angle (may be given several times)', options.view_angle
+        add('--view', action='append', type=angle, default=[], metavar='DEGREES', help=what)
         what = 'of all tendons, to sample (default: 100000)'
         add('--postures', type=int, metavar='N', help=what)
         add('--cubes', metavar='LENGTH', help='their edge (default: for ten postures in each)')

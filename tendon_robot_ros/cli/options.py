@@ -163,6 +163,14 @@ def positive(text: str) -> float:
     return value
 
 
+def view_angle(text: str) -> float:
+    """Read an angle of 0° or more, for argparse."""
+    value = float(text)
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f'expected an angle of 0° or more, got {text}')
+    return value
+
+
 def length(option: str, text: str, unit: str) -> float:
     """Read a length in a unit, or with its own, in metres."""
     return read_quantity(option, text, unit, 'length')
