@@ -236,28 +236,13 @@ def campaign_page(
     page.table(HIDDEN_COLUMNS, hidden_rows(rows), left=[0])
     page.text(HIDDEN_MEANING)
 
-    page.heading('Intervals and false alarms')
+    page.heading('Intervals')
     page.figures([coverage_figure(rows)])
-    if clean := clean_rows(rows):
-        page.text('With nothing hidden:')
-        header = ('robot', 'measured so', 'any alarm', 'an effect named')
-        page.table(header, clean, left=[0, 1])
 
     page.heading('What postures, trials and markers cost')
     header = ('measured so', 'effects seen', 'named', 'nothing hidden: said so', 'a diagnosis')
     page.table(header, cost_rows(rows), left=[0])
     return page
-
-
-def clean_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
-    """Return a row per robot and method of measurement: alarms with nothing hidden."""
-    method_of = methods(rows)
-    clean = [row for row in rows if row.hidden == NOTHING]
-    table = []
-    for (robot, way), members in grouped(clean, lambda r: (r.robot, method_of(r))).items():
-        named = Rate.of(row.verdict in NAMING for row in members)
-        table.append([robot, way or 'all', str(Rate.of(r.alarm for r in members)), str(named)])
-    return table
 
 
 def cost_rows(rows: Sequence[CaseRow]) -> list[list[str]]:

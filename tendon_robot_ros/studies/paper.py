@@ -45,7 +45,6 @@ from ..robot import Robot, load_robot
 from .friction import SlipFriction
 from .paper_motion import Assumed, MotionExperiment, Published
 from .paper_postures import (
-    HEIGHT_NAMES,
     DisplacementExperiment,
     SmallExperiment,
     TensionExperiment,
@@ -178,7 +177,7 @@ def displacement_numbers(experiment: DisplacementExperiment) -> Iterator[Number]
         'trial to trial; the range is over 0 to 2°, 5 to 95 % of prototypes'
     )
     for model, published, sd in (('FKM', 5.9, 2.9), ('PCCA', 23.7, 3.6)):
-        spread, what = experiment.errors[HEIGHT_NAMES[0], model], 'tip error at given pulls'
+        spread, what = experiment.errors[model], 'tip error at given pulls'
         errors, sds = (spread.mean, spread.low, spread.high), (spread.sd, *spread.sd_range)
         yield Number.of('IV.C', f'{what}, {model}', 'mm', published, errors, of_error)
         yield Number.of('IV.C', f'its ±, {model}', 'mm', sd, sds, of_sd)

@@ -71,7 +71,7 @@ class DisplacementExperiment:
         self.data = trials(plant, heights)  # of one simulated prototype
         models = [('FKM', robot), ('PCCA', pcca(robot))]
         self.comparison = compare(self.data, models, leave_out=False)  # as published
-        # by height and model, over many prototypes
+        # by model, over many prototypes
         self.errors = many_prototypes(plant, heights, self.comparison)
         (mean, _), fkm = self.comparison.angle_bands(), self.comparison.models[0].angles
         assert fkm is not None
@@ -152,33 +152,28 @@ def pulled_by_hand(plant: Plant, heights: Heights, p: int, random: np.random.Gen
     return plant.shapes(pulls, displacement=True).positions
 
 
-def many_prototypes(
-    plant: Plant, heights: Heights, comparison: Comparison
-) -> dict[tuple[str, str], Spread]:
-    """Tip errors of the models over many prototypes that differ in the play of their cells."""
-    random, robot = np.random.default_rng(0), plant.robot
-    spreads: dict[tuple[str, str], Spread] = {}
+def many_prototypes(plant: Plant, heights: Heights, comparison: Comparison) -> dict[str, Spread]:
+    """Tip errors at the highest tip, by model, of prototypes that differ in their cells' play."""
+    random, robot, spreads = np.random.default_rng(0), plant.robot, {}
     play = Published.CELL_SCATTER_RAD * random.normal(size=(Assumed.PROTOTYPES, 1, robot.cells))
-    for p, count in enumerate(Published.TRIALS_PER_HEIGHT):
-        shapes = pulled_by_hand(plant, heights, p, random)
-        change = random.normal(size=(Assumed.PROTOTYPES, count, robot.cells))
-        many = np.broadcast_to(shapes, (Assumed.PROTOTYPES, *shapes.shape))
-        tips = [
-            turned(many, held(play + size * change, robot))[:, :, -1]
-            for size in Assumed.TRIAL_SCATTERS_RAD
-        ]
-        for model in comparison.models:
-            tip = model.markers[p, -1]
-            errors = [np.linalg.norm(one - tip, axis=2) for one in tips]
-            means, sds = errors[1].mean(axis=1), [one.std(axis=1, ddof=1) for one in errors]
-            low, high = np.percentile(means, [5.0, 95.0]).tolist()
-            spreads[HEIGHT_NAMES[p], model.name] = Spread(
-                mean=float(means.mean()),
-                low=low,
-                high=high,
-                sd=float(np.sqrt((sds[1] ** 2).mean())),
-                sd_range=(float(np.percentile(sds[0], 5)), float(np.percentile(sds[-1], 95))),
-            )
+    shapes = pulled_by_hand(plant, heights, 0, random)
+    change = random.normal(size=(Assumed.PROTOTYPES, len(shapes), robot.cells))
+    many = np.broadcast_to(shapes, (Assumed.PROTOTYPES, *shapes.shape))
+    tips = [
+        turned(many, held(play + size * change, robot))[:, :, -1]
+        for size in Assumed.TRIAL_SCATTERS_RAD
+    ]
+    for model in comparison.models:
+        errors = [np.linalg.norm(one - model.markers[0, -1], axis=2) for one in tips]
+        means, sds = errors[1].mean(axis=1), [one.std(axis=1, ddof=1) for one in errors]
+        low, high = np.percentile(means, [5.0, 95.0]).tolist()
+        spreads[model.name] = Spread(
+            mean=float(means.mean()),
+            low=low,
+            high=high,
+            sd=float(np.sqrt((sds[1] ** 2).mean())),
+            sd_range=(float(np.percentile(sds[0], 5)), float(np.percentile(sds[-1], 95))),
+        )
     return spreads
 
 
