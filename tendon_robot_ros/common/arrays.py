@@ -17,6 +17,11 @@ RESOLUTION = 10.0**-DIGITS  # [m] or [N], because values are rounded to it
 ROWS_AT_ONCE = 2_000  # [1] rows of a table, or postures, at once, so that they stay in the cache
 
 
+def evenly(count: int, maximum: int) -> Ints:
+    """Return at most `maximum` of `count` indices, evenly spread, with the first and the last."""
+    return np.linspace(0, count - 1, min(count, maximum)).round().astype(int)
+
+
 def interpolated(times: Floats | float, known: Sequence[float] | Floats, rows: Any) -> Floats:
     """Return rows (..., k) at times (...), linear between rows (n, k) at known times (n,)."""
     columns = np.transpose(rows)

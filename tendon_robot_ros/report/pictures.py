@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..common.arrays import Floats
+from ..common.arrays import Floats, evenly
 from ..common.colours import COLOURS, ERROR, FLOOR, INK, MEASURED, PREDICTED
 from ..common.errors import NoEquilibriumError
 from ..common.files import new_file
@@ -141,7 +141,7 @@ def legend_below(axes: Any) -> None:
 def path_lines(run: PathRun) -> list[str]:
     """Return the table, and what was between the rows."""
     head, *body = tip_rows(run) if run.target_values is None else tendon_rows(run)
-    shown = _chosen(len(body), Shown.ROWS)
+    shown = evenly(len(body), Shown.ROWS)
     text = [] if run.target_values is None else [f'tendons: {", ".join(run.inputs)}']
     text.append(columns([head, *(body[i] for i in shown)]))
     if len(shown) < len(body):
@@ -155,11 +155,6 @@ def path_lines(run: PathRun) -> list[str]:
     if not run.measured:
         text.append('no tracker: the tip is where the model sees it')
     return text
-
-
-def _chosen(count: int, maximum: int) -> np.ndarray:
-    """Return at most `maximum` evenly spread indices, with the first and the last."""
-    return np.unique(np.linspace(0, count - 1, min(count, maximum)).round().astype(int))
 
 
 def tip_rows(run: PathRun) -> list[list[str]]:
@@ -246,7 +241,7 @@ def draw_side(axes: Any, run: PathRun, axis: int) -> None:
         )
         if len(goals) <= Shown.MARKED_ROWS:
             axes.plot(*_flat(goals, axis), 'o', color=FLOOR, markersize=5, fillstyle='none')
-        shown = _chosen(len(goals), Shown.ARROWS)
+        shown = evenly(len(goals), Shown.ARROWS)
         for place, view in zip(goals[shown], views[shown], strict=True):
             if np.isfinite(view).all() and np.hypot(view[axis], view[2]) > 0.1:
                 (x, z), tip = _flat(place, axis), 8.0 * view[[axis, 2]]

@@ -10,9 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from ..common.arrays import Floats, Ints
+from ..common.arrays import Floats, Ints, evenly
 from ..common.colours import ERROR, FLOOR, INK, PREDICTED, line_style
 from ..common.words import commands, digits, listed
 from ..workspace.cubes import SPHERE_PART_COUNT, Reached
@@ -104,7 +103,7 @@ def postures(family: Family) -> Figure:
         line = {'color': style.colour, 'dash': style.dash, 'width': 2 if planar else 5}
         drawn = in_space(points, 'lines+markers', HEIGHT_NAMES[i], line=line, marker=marker)
         data.append(drawn)
-    kept = thinned(family.tips, Shown.DRAWN_POINTS)
+    kept = family.tips[evenly(len(family.tips), Shown.DRAWN_POINTS)]
     marker = {'color': FLOOR, 'size': 5 if planar else 2, 'opacity': 0.6}
     data.append(in_space(kept, 'markers', 'all tips', marker=marker))
     across, along = spans(family)
@@ -132,12 +131,6 @@ def displacement(family: Family) -> Figure:
     title, caption = 'Angular displacement per cell', '; '.join(pulled)
     layout = axes('cell', 'angular displacement per cell [°]')
     return Figure(data, layout, title, caption, height=HEIGHTS_PX['tall'])
-
-
-def thinned[T: np.generic](rows: npt.NDArray[T], maximum: int) -> npt.NDArray[T]:
-    """Return at most `maximum` of the rows, evenly spread."""
-    kept = np.linspace(0, len(rows) - 1, min(len(rows), maximum)).astype(int)
-    return rows.take(kept, axis=0)
 
 
 def workspace_page(workspace: Workspace) -> Page:
@@ -285,7 +278,8 @@ def cloud_figure(volume: Volume) -> Figure:
     """Tips at the outside of what is reached, the hull, and the straight arm."""
     reached, inputs = volume.reached, volume.robot.inputs
     values, title = _values(volume)
-    rows = thinned(np.flatnonzero(reached.outside), Shown.CLOUD_POINTS)
+    outside = np.flatnonzero(reached.outside)
+    rows = outside[evenly(len(outside), Shown.CLOUD_POINTS)]
     pulled = [
         ', '.join(f'{name} {digits(value)} N' for name, value in zip(inputs, row, strict=True))
         for row in reached.tensions[rows].tolist()
@@ -380,7 +374,7 @@ def heat_map(frame: tuple[Ints, Ints, float], cells: Ints, values: Floats) -> Tr
 
 def direction_figure(part: Reached, view: float) -> Figure:
     """Tips that look at an angle, and which way."""
-    rows = thinned(np.arange(len(part)), Shown.CLOUD_POINTS)
+    rows = evenly(len(part), Shown.CLOUD_POINTS)
     length = Shown.DIRECTION_FRACTION * part.robot.length
     tips, ends = part.tips[rows], part.tips[rows] + length * part.directions[rows]
     lines = np.stack([tips, ends, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
