@@ -40,6 +40,7 @@ class Recorder:
     tensions: bool = True  # else the efforts are NaN, as a driver gives them in pull mode
     lost: tuple = ()  # (marker, begin [s], end [s]) not seen then
     since: float = 0.0  # [s] from which there are tendon states
+    until: float = np.inf  # [s] after which there are none
     silent: bool = False  # a lost marker has no message on its topic, else one of NaN
 
     def write(self, path, plan):
@@ -77,7 +78,8 @@ class Recorder:
         unknown = np.full(2, np.nan)
         tension, pull = (inputs, unknown) if self.tensions else (unknown, inputs * 1e-3)
         message = self.build.joint_state(time, self.names, pull, tension)
-        if time >= 1_700_000_000_000_000_000 + round(1e9 * self.since):
+        now = 1e-9 * (time - 1_700_000_000_000_000_000)
+        if self.since <= now <= self.until:
             writer.write('/tendon_states', time, message)
         turned = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
         array = self.build.pose_array(time, shape, turned)

@@ -107,8 +107,14 @@ def test_nothing_is_measured_before_the_first_tendon_state(tmp_path):
         import_bag(last, SMALL)
 
 
-def test_every_marker_can_have_its_own_topic(tmp_path):
-    bag = Recorder(by_topic=True, rate=50.0).write(tmp_path / 'bag', LOADED_TWICE)
+def test_nothing_is_measured_while_no_tendon_state_comes(tmp_path):
+    found = import_bag(Recorder(until=9.0).write(tmp_path / 'bag', LOADED_TWICE), SMALL)
+    assert_allclose(found.dataset.inputs, [REST, LEFT, RIGHT], atol=1e-3)
+    assert_array_equal(found.dataset.trials, [2, 1, 1])
+    assert found.left_out[0].endswith('no tendon state came for 1 s before them')
+
+
+def test_every_marker_can_have_its_own_topic_and_the_tip_needs_no_description(by_topic):
     topics = Topics(markers={'3': 'tracker/m2', '1': '/tracker/m0'})
     data = import_bag(bag, SMALL, topics=topics, rest=0.2).dataset
     assert [marker.name for marker in data.markers] == ['3', '1']

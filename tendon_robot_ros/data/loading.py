@@ -54,6 +54,10 @@ from .tracker_faults import (
     without_unseen,
 )
 
+# [s] after which a tendon state tells no longer what the inputs are, because drivers publish many
+# a second; of slower ones three of their intervals
+STATE_AGE_MAX_S = 1.0
+
 
 @dataclass(frozen=True)
 class Imported:
@@ -140,6 +144,7 @@ def import_bag(
     recording, unseen = _without_unseen(recording, robot, [marker.name for marker in markers])
     refuse_two_senders(recording, inputs)
     recording, exchanged = _put_back(recording)
+    recording, unheard = _while_states_come(recording)
     rule = (rule or Rule()).fill(robot, kind)
     speeds = motion(recording, inputs, rule)
     sequence = described['path'] == 'sequence'
@@ -169,7 +174,7 @@ def import_bag(
         recording.state_times,
         inputs,
         rule,
-        (*renumbered_lines, *exchanged, *unseen, *excluded),
+        (*renumbered_lines, *exchanged, *unseen, *unheard, *excluded),
         recording.frame,
     )
 
@@ -219,6 +224,21 @@ def _without_unseen(
         lines += unseen_lines(counts, names if len(recording.tracks) == 1 else [names[k]])
         tracks.append(replace(track, positions=positions))
     return replace(recording, tracks=tuple(tracks)), lines
+
+
+def _while_states_come(recording: Recording) -> tuple[Recording, list[str]]:
+    """Exclude the markers while no tendon state comes: nothing tells what the inputs are."""
+    intervals = np.diff(recording.state_times)
+    age_max = max(STATE_AGE_MAX_S, 3.0 * float(np.median(intervals))) if len(intervals) else np.inf
+    tracks, count = [], 0
+    for track in recording.tracks:
+        last = np.searchsorted(recording.state_times, track.times + 1e-9) - 1
+        old = (last >= 0) & (track.times - recording.state_times[last] > age_max)
+        positions = np.where(old[:, None, None], np.nan, track.positions)
+        tracks.append(replace(track, positions=positions))
+        count += int(np.isfinite(track.positions[old, :, 0]).sum())
+    told = f'{count:,} marker readings: no tendon state came for {age_max:.2g} s before them'
+    return replace(recording, tracks=tuple(tracks)), [told] if count else []
 
 
 def _describe(recording: Recording, robot: Robot, text: str | None) -> dict[str, Any]:
