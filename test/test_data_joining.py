@@ -12,6 +12,7 @@ from simulated import measure, postures
 from tendon_robot_ros.common.errors import DataSetError, EffectError
 from tendon_robot_ros.comparison.compare import compare, equilibria
 from tendon_robot_ros.data import join, load_dataset, save_dataset
+from tendon_robot_ros.data.dataset import EarlierRecording
 from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.inference.imperfections import SplitPredictor, imperfections
 from tendon_robot_ros.inference.predict import Predictor
@@ -129,6 +130,10 @@ def test_a_known_load_gives_the_scale_of_forces():
         ({'input': 'displacement'}, 'has other input than lab/free'),
         ({'path': 'sequence'}, 'has other path than lab/free'),
         ({'robot': replace(ROBOT, tension_limits=(0.0, 9.0))}, 'has another robot description'),
+        (
+            {'reference': EarlierRecording('old', 1e-3, np.zeros(3), np.zeros(3))},
+            'lab/weight: the deviations of old are taken off it; join before',
+        ),
     ],
 )
 def test_data_sets_that_do_not_belong_together_are_refused(changes, message):

@@ -463,15 +463,7 @@ def join(datasets: Sequence[DataSetLike]) -> DataSet:
     first = sets[0]
     if len(sets) == 1:
         return first
-    for other in sets[1:]:
-        for key in ALIKE:
-            if getattr(first, key) != getattr(other, key):
-                remedy = f'data sets that are used together have the same {", ".join(ALIKE)}'
-                raise DataSetError(other.name, f'has other {key} than {first.name}', remedy)
-        ours, theirs = (replace(d.robot, source='', fitted={}) for d in (first, other))
-        if ours != theirs:
-            problem = f'has another robot description than {first.name}'
-            raise DataSetError(other.name, problem, 'name the one that holds for all with --robot')
+    _refuse_unlike(sets)
     names = [dataset.name.rstrip('/').rpartition('/')[2] for dataset in sets]
     if len(set(names)) < len(names):  # the last parts of two folders are the same
         names = [dataset.name for dataset in sets]
@@ -511,6 +503,24 @@ def join(datasets: Sequence[DataSetLike]) -> DataSet:
         visits=join_visits(visits) if visits else None,
         **noises,
     )
+
+
+def _refuse_unlike(sets: Sequence[DataSet]) -> None:
+    """Raise DataSetError where data sets do not belong together."""
+    first = sets[0]
+    for other in sets[1:]:
+        for key in ALIKE:
+            if getattr(first, key) != getattr(other, key):
+                remedy = f'data sets that are used together have the same {", ".join(ALIKE)}'
+                raise DataSetError(other.name, f'has other {key} than {first.name}', remedy)
+        ours, theirs = (replace(d.robot, source='', fitted={}) for d in (first, other))
+        if ours != theirs:
+            problem = f'has another robot description than {first.name}'
+            raise DataSetError(other.name, problem, 'name the one that holds for all with --robot')
+    for one in sets:
+        if one.reference is not None:
+            problem = f'the deviations of {one.reference.name} are taken off it'
+            raise DataSetError(one.name, problem, 'join before an earlier recording is taken off')
 
 
 def _stacked(arrays: Sequence[Floats], trials: int) -> Floats:
