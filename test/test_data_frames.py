@@ -98,6 +98,10 @@ def test_arrays_of_any_rank_make_a_data_set():
         ({'inputs': [[1.0], [0.0]]}, r'inputs: expected \(postures, 2\) numbers for '),
         ({'inputs': [[np.nan, 1.0], [0.0, 0.0]]}, 'got nan; say 0 where a tendon is slack'),
         ({'inputs': [[1.0, 1.0]]}, 'inputs: has shape'),
+        (
+            {'inputs': np.zeros((0, 2)), 'positions': np.zeros((0, CELLS, 3))},
+            'positions: hold no posture',
+        ),
         ({'position_noise': 0.2 * 1e3}, 'position_noise: expected a number from 0 to 0.1'),
         ({'path': 'visits'}, 'path: expected one of from_straight, sequence, got'),
     ],
