@@ -209,7 +209,9 @@ def test_the_missing_package_is_named(tmp_path, monkeypatch):
 def test_the_commands_go_there_and_back(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write(tmp_path / 'small')
-    assert main(['export', 'bag', 'small', 'a.mcap']) == 0
+    assert main(['export', 'bag', 'small', 'a.mcap', '--rate', '1']) == 1
+    assert '--rate is from 4' in capsys.readouterr().err
+    assert main(['export', 'bag', 'small', 'a.mcap', '--rate', '4']) == 0
     assert capsys.readouterr().out == '3 measurements, 2 postures\nwritten: a.mcap\n'
     assert main(['import', 'bag', 'a.mcap', '--output', 'out', '--picture', 'a.png']) == 0
     assert capsys.readouterr().out == (

@@ -410,8 +410,11 @@ class ExportBag:
     def run(self, args: argparse.Namespace) -> int:
         """Write the recording."""
         timing = Timing(args.hold, args.move, args.rate)
-        if not (0 < timing.hold < 1e4 and 0 < timing.move < 1e4 and 1 <= timing.rate <= 1e4):
-            raise InputError('--hold and --move are seconds above 0, --rate is from 1 to 10000')
+        if not (0 < timing.hold < 1e4 and 0 < timing.move < 1e4 and 4 <= timing.rate <= 1e4):
+            raise InputError(
+                '--hold and --move are seconds above 0, --rate is from 4 (fewer messages show no '
+                'arm at rest) to 10000'
+            )
         dataset = load_dataset(args.data, args.robot)
         with progress() as show:
             show(f'writing {dataset.trials.sum()} measurements', 0, 0)
