@@ -343,6 +343,7 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(tmp_path, capsys):
         (['--column', 'up=T1'], '--column up=...: expected time or one of left, right'),
         (['--markers', '30,20'], '--markers: expected distances that grow, from base to tip [mm]'),
         (['--unit', 'inputs=deg'], "row 3: m_z is 'x'"),
+        (['--same', '1e9N'], '--same: got 1000000000.0; expected a finite number from'),
     ):  # fmt: skip
         assert main([*call, *more]) == 1
         error = capsys.readouterr().err

@@ -16,7 +16,7 @@ from typing import Annotated, Any, TypeVar, get_origin, get_type_hints
 import numpy as np
 import yaml
 
-from ..common.errors import DataSetError, InputError, refusal
+from ..common.errors import DataSetError, InputError, refusal, short
 from ..common.words import TYPED_LENGTHS, UNITS, Unit, digits, find_unit, listing
 from ..data.arrays import Vector
 from ..data.dataset import PATHS
@@ -43,12 +43,21 @@ HEAD = """\
 # units of columns. Change a line, or take one out to have it guessed again, and run
 #   python -m tendon_robot_ros import table --recipe THIS_FILE --output NEW_FOLDER
 """
+OPTIONS = 'options'  # source of a recipe that options make
+OPTION_OF = {'places': 'markers', 'radius': 'spool'}  # key -> option, where another word
 Part = TypeVar('Part')
 Read = Callable[['RecipeFields', str], Any]
 
 
 class RecipeFields(DatasetFields):
-    """Checked reading of import.yaml."""
+    """Checked reading of import.yaml, or of options by its keys."""
+
+    def error(self, key: str, expected: str, got: object) -> DataSetError:
+        """Build the error for a key, or for the option that stands for it."""
+        if self.source != OPTIONS:
+            return super().error(key, expected, got)
+        option = OPTION_OF.get(key, key).replace('_', '-')
+        return DataSetError(f'--{option}', f'got {short(got)}', f'expected {expected}')
 
     def read(self, kind: type[Part]) -> Part:
         """Read a dataclass by the annotations of its fields; a missing key is the default."""
@@ -250,7 +259,7 @@ class Recipe:
         Of `spool`, `still` and `inputs` what they do not say stays; with `points` markers are
         guessed anew, with `places` where they are.
         """
-        new = _checked(RecipeFields('options', '', dict(keys)))
+        new = _checked(RecipeFields(OPTIONS, '', dict(keys)))
         values = {name: getattr(new, name) for name in keys}
         for name in {'spool', 'still'} & keys.keys():
             said = [one for one in keys[name] if keys[name][one] is not None]
