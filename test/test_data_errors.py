@@ -44,56 +44,49 @@ def test_a_bad_quaternion_is_refused(quaternion, problem, tmp_path, monkeypatch)
     assert error_of(tmp_path, monkeypatch, shapes=shapes) == f'd/shapes.csv, row 2: {problem}'
 
 
-def test_an_orientation_needs_a_position(tmp_path, monkeypatch):
-    shapes = TURNED.format('0,0,0,1').replace('0,0,1,0,0,0,', '0,0,2,0,0,0,,,,\n0,0,1,,,,', 1)
-    message = error_of(tmp_path, monkeypatch, shapes=shapes)
-    assert message.startswith('d/shapes.csv, row 3: an orientation without a position; write')
+MANY = 'posture,left,right\n' + ''.join(f'{i},1,1\n' for i in range(8000))
+DEEP = [f'{i},0,1,0.001,0,0.01' for i in range(60_000)]
+DEEP[54_321] = '54321,0,1,0.001,none,0.01'
+MORE = {
+    'an orientation without a position': (
+        {'shapes': 'posture,trial,marker,x,y,z,qx,qy,qz,qw\n0,0,2,0,0,0,,,,\n'
+         '0,0,1,,,,0,0,0,1\n1,0,1,0,0,0,0,0,0,1\n'},
+        'shapes.csv, row 3: an orientation without a position; write x, y, z too, or leave the '
+        'quaternion empty',
+    ),
+    'slack in some trials': (
+        {'dataset': 'input: displacement',
+         'inputs': 'posture,trial,left,right\n0,0,0.001,\n0,1,0.001,0.001\n1,0,0,0\n'},
+        "inputs.csv: posture '0': an input is nan (slack) in some of its trials and a number in "
+        'others; give postures of different inputs different names',
+    ),
+    'a declared marker that is never seen': (
+        {'dataset': 'markers: [{name: 1, arc_length: 0.01}, {name: tip, arc_length: 0.03}]',
+         'shapes': 'posture,trial,marker,x,y,z\n0,0,1,0,0,0\n1,0,1,0,0,0\n1,0,tip,,,\n'},
+        "dataset.yaml: markers: 'tip' was never seen in shapes.csv; correct the name or remove "
+        'the marker',
+    ),
+    'a trial without inputs': (
+        {'inputs': 'posture,trial,left,right\n0,0,1,1\n1,0,1,1\n'},
+        "shapes.csv, row 5: posture '0', trial '1': inputs.csv has no row for this trial; add "
+        'its inputs there or remove its rows here',
+    ),
+    'trials counted through all postures': (
+        {'inputs': MANY, 'shapes': 'posture,trial,marker,x,y,z\n'
+         + ''.join(f'{i},{i},1,0,0,0\n' for i in range(8000))},
+        'shapes.csv: 8000 postures x 8000 trials x 3 markers are too many; count the trials of '
+        'every posture from 0',
+    ),
+    'deep in a long file': (
+        {'inputs': MANY, 'shapes': '\n'.join(['posture,trial,marker,x,y,z', *DEEP])},
+        "shapes.csv, row 54323: y is 'none'; leave the cell empty where the marker was not seen",
+    ),
+}  # fmt: skip
 
 
-def test_a_tendon_is_slack_in_all_trials_of_a_posture_or_in_none(tmp_path, monkeypatch):
-    inputs = 'posture,trial,left,right\n0,0,0.001,\n0,1,0.001,0.001\n1,0,0,0\n'
-    dataset = 'input: displacement'
-    assert error_of(tmp_path, monkeypatch, dataset=dataset, inputs=inputs) == (
-        "d/inputs.csv, row 2: a tendon is slack here and pulled in other trials of posture '0'; "
-        'give postures of different inputs different names'
-    )
-
-
-def test_a_declared_marker_must_be_seen(tmp_path, monkeypatch):
-    dataset = 'markers: [{name: 1, arc_length: 0.01}, {name: tip, arc_length: 0.03}]'
-    shapes = 'posture,trial,marker,x,y,z\n0,0,1,0,0,0\n1,0,1,0,0,0\n1,0,tip,,,\n'
-    assert error_of(tmp_path, monkeypatch, dataset=dataset, shapes=shapes) == (
-        "d/dataset.yaml: markers: 'tip' was never seen in shapes.csv; correct the name or remove "
-        'the marker'
-    )
-
-
-def test_a_trial_needs_inputs_where_these_are_given_per_trial(tmp_path, monkeypatch):
-    inputs = 'posture,trial,left,right\n0,0,1,1\n1,0,1,1\n'
-    assert error_of(tmp_path, monkeypatch, inputs=inputs) == (
-        "d/shapes.csv, row 5: posture '0', trial '1': inputs.csv has no row for this trial; add "
-        'its inputs there or remove its rows here'
-    )
-
-
-def test_trials_counted_through_all_postures_are_not_a_table(tmp_path, monkeypatch):
-    rows = range(8000)
-    inputs = 'posture,left,right\n' + ''.join(f'{i},1,1\n' for i in rows)
-    shapes = 'posture,trial,marker,x,y,z\n' + ''.join(f'{i},{i},1,0,0,0\n' for i in rows)
-    assert error_of(tmp_path, monkeypatch, inputs=inputs, shapes=shapes) == (
-        'd/shapes.csv: 8000 postures x 8000 trials x 3 markers are too many; count the trials of '
-        'every posture from 0'
-    )
-
-
-def test_an_error_deep_in_a_long_file_names_its_row(tmp_path, monkeypatch):
-    rows = [f'{i},0,1,0.001,0,0.01' for i in range(60_000)]
-    rows[54_321] = '54321,0,1,0.001,none,0.01'
-    inputs = 'posture,left,right\n' + ''.join(f'{i},1,1\n' for i in range(60_000))
-    shapes = '\n'.join(['posture,trial,marker,x,y,z', *rows])
-    assert error_of(tmp_path, monkeypatch, inputs=inputs, shapes=shapes) == (
-        "d/shapes.csv, row 54323: y is 'none'; leave the cell empty where the marker was not seen"
-    )
+@pytest.mark.parametrize(('changed', 'problem'), MORE.values(), ids=MORE)
+def test_files_that_do_not_fit_each_other_are_refused(changed, problem, tmp_path, monkeypatch):
+    assert error_of(tmp_path, monkeypatch, **changed) == f'd/{problem}'
 
 
 def test_long_lists_of_names_are_cut(tmp_path, monkeypatch):

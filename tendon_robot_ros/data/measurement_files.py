@@ -10,7 +10,15 @@ from ..common.arrays import Bools, Floats, Ints
 from ..common.errors import DataSetError
 from ..common.words import listing
 from ..robot import Robot
-from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, STRAIGHT, VALUES_MAX, too_tense
+from .arrays import (
+    PLAUSIBLE_FACTOR,
+    POSITION,
+    QUATERNION,
+    STRAIGHT,
+    VALUES_MAX,
+    mean_inputs,
+    too_tense,
+)
 from .csv_file import NEEDED, CsvFile
 
 VISIT, ORIGIN = HISTORY = ('visit', 'previous')  # columns of the history of a posture
@@ -71,20 +79,11 @@ class Commands(CsvFile):
             A tendon is slack in some trials of a posture and pulled in others.
 
         """
-        posture = self.codes['posture']
-        slack = np.isnan(self.values)
-        total, pulled = np.zeros((2, len(self.postures), self.values.shape[1]))
-        np.add.at(total, posture, np.where(slack, 0.0, self.values))
-        np.add.at(pulled, posture, ~slack)
-        mixed = (pulled > 0) & (pulled < np.bincount(posture)[:, None])
-        where = (slack & mixed[posture]).any(axis=1)
-        self.refuse(
-            where,
-            'a tendon is slack here and pulled in other trials of '
-            f'posture {self.label(int(where.argmax()), "posture")!r}',
-            'give postures of different inputs different names',
-        )
-        return np.where(pulled > 0, total / np.maximum(pulled, 1), np.nan)
+        if self.trials is None:
+            return self.values
+        each = np.full((len(self.postures), len(self.trials), self.values.shape[1]), np.inf)
+        each[self.codes['posture'], self.codes['trial']] = self.values
+        return mean_inputs(each, ~np.isinf(each[..., 0]), self.postures, str(self.path))[0]
 
     def by_trial(self, trials: tuple[str, ...]) -> Floats | None:
         """
