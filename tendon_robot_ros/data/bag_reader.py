@@ -365,9 +365,9 @@ def with_markers(
     """
     with opened(bag) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
-    poses = [topic for topic in other_sources(types) if types[topic] == POSE_STAMPED]
+    stamped = [topic for topic in other_sources(types) if types[topic] == POSE_STAMPED]
     if not topics.markers:
-        own = {n: [t for t in poses if n in t.split('/')] for n in names}
+        own = {n: [t for t in stamped if n in t.split('/')] for n in names}
         if all(len(matches) == 1 for matches in own.values()):
             return read_bag(bag, replace(topics, markers={n: t[0] for n, t in own.items()}))
     transforms = Transforms(recording)
@@ -376,7 +376,7 @@ def with_markers(
     frames = sorted({child for _, child in transforms.edges})
     lacking = [frame for frame in chosen.values() if frame not in frames]
     if lacking:
-        shown = [*poses, *frames]
+        shown = [*stamped, *frames]
         raise DataSetError(
             str(bag),
             f'topic /{topics.shape.lstrip("/")} is not in it, and no topic or frame of /tf is '
@@ -385,19 +385,18 @@ def with_markers(
             f'{listing(shown)}',
         )
     placed = [transforms.track(frame) for frame in chosen.values()]
-    parents = {parent for parent, _ in placed}
-    tracks = []
+    poses = {parent: transforms.to_base(parent) for parent, _ in placed}
+    if None in poses.values() and len(poses) > 1:
+        raise DataSetError(
+            str(bag),
+            f'markers are given in the frames {listing(sorted(poses))}, which nothing joins',
+            'record all of them in one frame, or /tf_static with them',
+        )
+    tracks, frame = [], 'base'
     for parent, track in placed:
-        pose = transforms.to_base(parent)
-        if pose is None and len(parents) > 1:
-            raise DataSetError(
-                str(bag),
-                f'markers are given in the frames {listing(sorted(parents))}, which nothing joins',
-                'record all of them in one frame, or /tf_static with them',
-            )
+        pose = poses[parent]
         tracks.append(track if pose is None else _moved(track, *pose))
-    joined = all(transforms.to_base(parent) is not None for parent in parents)
-    frame = 'base' if joined else parents.pop()
+        frame = parent if pose is None else frame
     return replace(recording, tracks=tuple(tracks), marker_names=tuple(chosen), frame=frame)
 
 

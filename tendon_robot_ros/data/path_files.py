@@ -13,7 +13,7 @@ from ..common.arrays import Floats, interpolated
 from ..common.errors import DataSetError
 from ..common.rotations import angle_between, from_quaternion
 from .bag_reader import opened, stored, topic_of
-from .bag_writer import JOINT_STATE, POSE_STAMPED, joints_of
+from .bag_writer import JOINT_STATE, POSE_STAMPED, joints_of, poses_of
 from .csv_file import CsvFile, csv_text
 
 PLACE, VIEW = ('x', 'y', 'z'), ('dx', 'dy', 'dz')
@@ -298,5 +298,5 @@ def _place(stamped: tuple[float, Any]) -> tuple[float, Floats, Floats]:
     if hasattr(message, 'point'):
         p = message.point
         return time, np.array([p.x, p.y, p.z]), np.full(3, np.nan)
-    p, q = message.pose.position, message.pose.orientation
-    return time, np.array([p.x, p.y, p.z]), from_quaternion((q.x, q.y, q.z, q.w))[:, 2]
+    pose = poses_of(message)[1][0]
+    return time, pose[:3], from_quaternion(pose[3:])[:, 2]
