@@ -12,7 +12,7 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import DataSetError, Progress, listener, refusal
-from ..common.words import LISTED_MAX, listed, mm
+from ..common.words import listed, listing, mm
 from ..data import DataSet, Marker
 from ..data.arrays import split_by_order
 from ..data.still_segments import Segment, frame_noise, rows_of, segments_dataset
@@ -228,11 +228,7 @@ def _columns_dropped(chosen: Selection, tables: Sequence[RawTable]) -> list[str]
     flags = {name.column for t in tables for name, _, _ in flag_columns(t, markers)}
     names = [column for column in chosen.unused if column not in flags]
     lines = [f'no markers: {line}' for line in chosen.unused_points]
-    if not names:
-        return lines
-    more = ' and more' if len(names) > LISTED_MAX else ''
-    shown = f'{", ".join(names[:LISTED_MAX])}{more}' if more else listed(names)
-    return [*lines, f'{len(names)} columns: {shown}']
+    return [*lines, f'{len(names)} columns: {listing(names)}'] if names else lines
 
 
 def _markers_assumed(order: MarkerOrder, chosen: Selection) -> list[str]:

@@ -62,8 +62,6 @@ class Points:
         What they are, and the alternatives; '' if there is none.
     aside : tuple of str
         Triples that are not used, by quantity.
-    unused_fraction : float
-        Fraction of the triples that are not used, except those that an export names.
     nameless : tuple of tuple of str
         Those without a name: a named marker that was lost may continue in one of them.
 
@@ -72,7 +70,6 @@ class Points:
     columns: tuple[tuple[str, ...], ...] = ()
     note: str = ''
     aside: tuple[str, ...] = ()
-    unused_fraction: float = 0.0
     nameless: tuple[tuple[str, str, str], ...] = ()
 
 
@@ -126,7 +123,6 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
         raise DataSetError(tables[0].name, f'holds no {mode} (--points {mode})', remedy)
     used = {column for point in columns for column in point}
     unused = [t for t in named if t.columns[0] not in used]
-    dropped = len(unnamed) + sum(not t.table.kinds for t in others)
     note = {
         'markers': 'the markers are taken, each by itself',
         'bodies': 'the origins of bodies are taken',
@@ -137,7 +133,6 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
         columns=tuple(columns),
         note=note if others_known else '',
         aside=(*_by_quantity(unused), *_by_quantity(others)),
-        unused_fraction=dropped / (dropped + len(used) // 3),
         nameless=tuple(t.columns for t in unnamed),
     )
 

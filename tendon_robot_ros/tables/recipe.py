@@ -410,11 +410,6 @@ class Selection:
         taken = set(self.reasons)
         taken |= {c for t in tables for triple in triples_of(t) for c in triple.columns}
         self.unused = [*dict.fromkeys(c for t in tables for c in t.columns if c not in taken)]
-        if points.unused_fraction > 0.5:
-            self.warnings.append(
-                f'{100 * points.unused_fraction:.0f} % of all x, y, z are left out, '
-                f'{listing(self.unused_points)}: are the markers those that are taken?'
-            )
 
     @property
     def unused_points(self) -> tuple[str, ...]:

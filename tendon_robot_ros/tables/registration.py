@@ -18,7 +18,7 @@ from ..common.rotations import (
     rotation_about,
     towards,
 )
-from ..common.words import LISTED_MAX, STANDARD_GRAVITY, listed, mm
+from ..common.words import STANDARD_GRAVITY, listing, mm
 from ..data import DataSet
 from ..data.arrays import Vector
 from ..effects import Catalogue
@@ -374,12 +374,8 @@ class Placed:
     @property
     def dropped(self) -> list[str]:
         """The excluded trials, a line."""
-        if not self.left_out:
-            return []
         names = [f'posture {posture} trial {trial}' for posture, trial in self.left_out]
-        more = len(names) - LISTED_MAX
-        shown = listed(names if more < 2 else [*names[:LISTED_MAX], f'{more} more'])
-        return [f'{shown}: {self._why}']
+        return [f'{listing(names)}: {self._why}'] if names else []
 
 
 def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:
