@@ -1,6 +1,7 @@
 """Recordings of a simulated arm in a laboratory, as tables, that tests import."""
 
 from dataclasses import replace
+from functools import cache
 
 import pytest
 
@@ -17,6 +18,7 @@ from tendon_robot_ros.simulation.measurements import (
     raw_table,
 )
 from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.tables import import_table
 from tendon_robot_ros.workspace.postures import default_postures
 
 ARM = replace(COARSE, gravity=(-9.81, 0.0, 0.0))  # quick to diagnose
@@ -42,12 +44,26 @@ def recorded(
     return pandas.DataFrame(values, columns=names)
 
 
+@cache
 def calm_recording():
     """Return one that holds the model's own values."""
     return recorded(CALM)
 
 
+@cache
 def noisy_recording():
     """Return one of three trials with noise and a load at the tip."""
     noise = SimulatedNoise(position=1e-4, setting=0.0, trial=0.002)
     return recorded(NOISY, {'tip_load': {'force_x': -0.05}}, noise, trials=3, count=6)
+
+
+@cache
+def calm_import():
+    """Return the first one as imported."""
+    return import_table(calm_recording(), ARM, {'up': 'y'})
+
+
+@cache
+def noisy_import():
+    """Return the second one as imported."""
+    return import_table(noisy_recording(), ARM, {'up': 'y'})

@@ -13,7 +13,14 @@ from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DataSetError, MissingExtraError, TendonRobotError
 from tendon_robot_ros.data import bag_writer, load_dataset
 from tendon_robot_ros.data.bag_reader import Topics
-from tendon_robot_ros.data.bag_writer import STRING, BagWriter, Builder, export_bag
+from tendon_robot_ros.data.bag_writer import (
+    JOINT_STATE,
+    POSE_ARRAY,
+    STRING,
+    BagWriter,
+    Builder,
+    export_bag,
+)
 from tendon_robot_ros.data.loading import import_bag
 
 STILL = [(BENT, LEFT, 0.0, 2.0)]
@@ -25,23 +32,21 @@ def error_of(bag, robot=SMALL, **options):
     return str(caught.value).replace(str(bag), 'BAG')
 
 
-def test_a_recording_that_is_not_there(tmp_path):
-    assert error_of(tmp_path / 'no') == (
-        'BAG: is not there; name a rosbag2 folder or an .mcap file'
-    )
-
-
-def test_a_folder_without_a_recording(tmp_path):
-    message = error_of(tmp_path)
-    assert message.startswith('BAG: is a folder without metadata.yaml, and no recording')
-    assert message.endswith('name a rosbag2 folder, or an .mcap or .db3 file')
-
-
-def test_a_recording_of_ros_1(tmp_path):
+@pytest.mark.parametrize(
+    ('name', 'message'),
+    [
+        ('no', 'is not there; name a rosbag2 folder or an .mcap file'),
+        (
+            '',
+            'is a folder without metadata.yaml, and no recording; name a rosbag2 folder, or an '
+            '.mcap or .db3 file',
+        ),
+        ('old.bag', 'is a ROS 1 bag; convert it: rosbags-convert --src BAG --dst NEW'),
+    ],
+)
+def test_what_is_no_recording_is_refused(tmp_path, name, message):
     (tmp_path / 'old.bag').write_bytes(b'#ROSBAG V2.0\n')
-    assert error_of(tmp_path / 'old.bag') == (
-        'BAG: is a ROS 1 bag; convert it: rosbags-convert --src BAG --dst NEW'
-    )
+    assert error_of(tmp_path / name) == f'BAG: {message}'
 
 
 def test_a_missing_topic_is_named_with_those_that_would_do(tmp_path):
@@ -108,35 +113,39 @@ def test_what_does_not_fit_is_said(recorder, options, message, tmp_path):
     assert error_of(bag, **options) == f'BAG: {message}'
 
 
-def test_markers_in_different_frames_are_refused(tmp_path):
-    with BagWriter(tmp_path / 'bag') as writer:
-        writer.add_topic('/tendon_states', 'sensor_msgs/msg/JointState')
-        writer.add_topic('/measured_shape', 'geometry_msgs/msg/PoseArray')
-        for time, frame in enumerate(('base', 'camera')):
-            build = Builder(writer.types, frame)
-            state = build.joint_state(time, ['left', 'right'], [0, 0], [1, 1])
-            writer.write('/tendon_states', time, state)
-            writer.write('/measured_shape', time, build.pose_array(time, BENT, [[0, 0, 0, 1]] * 3))
-    assert error_of(tmp_path / 'bag') == (
-        "BAG: shapes are given in the frames 'base', 'camera'; record all markers in the frame of "
-        'the base'
-    )
-
-
-def test_a_label_that_is_none(tmp_path):
-    with BagWriter(tmp_path / 'labelled') as writer:
-        build = Builder(writer.types)
+def stills(folder, frames, label=''):
+    """Write a message about the same state and shape every 0.1 s, each in a frame."""
+    with BagWriter(folder) as writer:
         writer.add_topic('/dataset/label', STRING)
-        writer.add_topic('/tendon_states', 'sensor_msgs/msg/JointState')
-        writer.add_topic('/measured_shape', 'geometry_msgs/msg/PoseArray')
-        writer.write('/dataset/label', 0, build.string('posture 3'))
-        for time in range(0, 3 * 10**9, 10**8):
+        writer.add_topic('/tendon_states', JOINT_STATE)
+        writer.add_topic('/measured_shape', POSE_ARRAY)
+        writer.write('/dataset/label', 0, Builder(writer.types).string(label))
+        for i, frame in enumerate(frames):
+            build, time = Builder(writer.types, frame), i * 10**8
             state = build.joint_state(time, ['left', 'right'], [0, 0], [1, 1])
             writer.write('/tendon_states', time, state)
             writer.write('/measured_shape', time, build.pose_array(time, BENT, [[0, 0, 0, 1]] * 3))
-    assert error_of(tmp_path / 'labelled') == (
-        'BAG: label \'posture 3\'; write {"posture": ..., "trial": ...} as JSON, or nothing'
-    )
+    return folder
+
+
+@pytest.mark.parametrize(
+    ('frames', 'label', 'message'),
+    [
+        (
+            ['base', 'camera'],
+            '',
+            "shapes are given in the frames 'base', 'camera'; record all markers in the frame of "
+            'the base',
+        ),
+        (
+            ['base'] * 30,
+            'posture 3',
+            'label \'posture 3\'; write {"posture": ..., "trial": ...} as JSON, or nothing',
+        ),
+    ],
+)
+def test_frames_that_differ_and_labels_that_are_none_are_refused(tmp_path, frames, label, message):
+    assert error_of(stills(tmp_path / 'bag', frames, label)) == f'BAG: {message}'
 
 
 @pytest.fixture(scope='module')

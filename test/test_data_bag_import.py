@@ -20,8 +20,19 @@ def bag(tmp_path_factory):
     return Recorder().write(tmp_path_factory.mktemp('bag') / 'bag', LOADED_TWICE)
 
 
-def test_segments_with_the_same_inputs_are_trials_of_one_posture(bag):
-    imported = import_bag(bag, SMALL)
+@pytest.fixture(scope='module')
+def imported(bag):
+    return import_bag(bag, SMALL)
+
+
+@pytest.fixture(scope='module')
+def by_topic(tmp_path_factory):
+    """Record the same with a topic for each marker."""
+    recorder = Recorder(by_topic=True, rate=50.0)
+    return recorder.write(tmp_path_factory.mktemp('topics') / 'bag', LOADED_TWICE)
+
+
+def test_segments_with_the_same_inputs_are_trials_of_one_posture(imported):
     data = imported.dataset
     assert data.postures == ('0', '1', '2')
     assert_array_equal(data.trials, [4, 2, 2])
@@ -31,24 +42,19 @@ def test_segments_with_the_same_inputs_are_trials_of_one_posture(bag):
     assert summary(imported) == '8 still segments: 3 postures x 2..4 trials x 3 markers'
 
 
-def test_segments_lie_within_the_time_in_which_the_arm_stood(bag):
-    segments = import_bag(bag, SMALL).segments
+def test_segments_lie_within_the_time_in_which_the_arm_stood(imported):
     time = 0.0
-    for one, (_, _, way, stay) in zip(segments, LOADED_TWICE, strict=True):
+    for one, (_, _, way, stay) in zip(imported.segments, LOADED_TWICE, strict=True):
         begin, end = time + way, time + way + stay
         assert begin - 0.01 <= one.begin <= begin + 0.5
         assert end - 0.5 <= one.end <= end + 0.01
         time = end
 
 
-def test_rest_between_the_trials_can_be_left_out(bag):
+def test_rest_can_be_left_out_and_measured_inputs_of_every_trial_are_kept(bag):
     data = import_bag(bag, SMALL, rest=0.2).dataset
     assert_allclose(data.inputs, [LEFT, RIGHT], atol=1e-3)
     assert_array_equal(data.trials, [2, 2])
-
-
-def test_inputs_of_every_trial_are_kept_when_they_were_measured(bag):
-    data = import_bag(bag, SMALL, rest=0.2).dataset
     assert data.trial_inputs.shape == (2, 2, 2)
     assert np.ptp(data.trial_inputs[0, :, 0]) > 0
 
@@ -116,22 +122,14 @@ def test_nothing_is_measured_while_no_tendon_state_comes(tmp_path):
 
 def test_every_marker_can_have_its_own_topic_and_the_tip_needs_no_description(by_topic):
     topics = Topics(markers={'3': 'tracker/m2', '1': '/tracker/m0'})
-    data = import_bag(bag, SMALL, topics=topics, rest=0.2).dataset
+    data = import_bag(by_topic, SMALL, topics=topics, rest=0.2).dataset
     assert [marker.name for marker in data.markers] == ['3', '1']
     assert_allclose(data.mean, [BENT[[2, 0]], TURNED[[2, 0]]], atol=1e-4)
-
-
-def test_one_topic_for_two_markers_is_refused(tmp_path):
-    bag = Recorder(by_topic=True, rate=50.0).write(tmp_path / 'bag', LOADED_TWICE[:1])
+    data = import_bag(by_topic, SMALL, topics=Topics(markers={'tip': 'tracker/m2'})).dataset
+    assert data.markers[0].arc_length == pytest.approx(0.03)
     topics = Topics(markers={'1': 'tracker/m0', '2': '/tracker/m0'})
     with pytest.raises(DataSetError, match='/tracker/m0 is given for marker 1 and for marker 2'):
-        import_bag(bag, SMALL, topics=topics)
-
-
-def test_a_topic_of_the_tip_needs_no_description(tmp_path):
-    bag = Recorder(by_topic=True, rate=50.0).write(tmp_path / 'bag', LOADED_TWICE)
-    data = import_bag(bag, SMALL, topics=Topics(markers={'tip': 'tracker/m2'})).dataset
-    assert data.markers[0].arc_length == pytest.approx(0.03)
+        import_bag(by_topic, SMALL, topics=topics)
 
 
 def test_pulls_are_taken_where_no_tension_was_observed(tmp_path):
@@ -141,10 +139,10 @@ def test_pulls_are_taken_where_no_tension_was_observed(tmp_path):
     assert_allclose(data.inputs, [[1e-3, 1e-4], [1e-4, 7e-4]], atol=1e-6)
 
 
-def test_the_picture_shows_the_segments(bag, tmp_path):
+def test_the_picture_shows_the_segments(imported, tmp_path):
     from matplotlib.image import imread
 
-    picture = draw_segments(import_bag(bag, SMALL), tmp_path / 'segments.png')
+    picture = draw_segments(imported, tmp_path / 'segments.png')
     image = imread(picture)
     green = (image[..., 1] > image[..., 0] + 0.05) & (image[..., 1] > image[..., 2] + 0.05)
     blocks = np.count_nonzero(np.diff(green[image.shape[0] // 2].astype(int)) == 1)

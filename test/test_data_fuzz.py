@@ -35,7 +35,7 @@ def damaged(draw):
     return name.partition('.')[0], data
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(damaged())
 @example(('dataset', b'a: ' + b'[' * 3000))
 @example(('dataset', b'gravity: 2000-99-99'))
@@ -66,7 +66,7 @@ CELL = st.sampled_from([*NUMBERS, 'nan', 'x', '0x1', '1_0'])
 NAME = st.sampled_from(['a', ' a', 'é', '"q"', '', 'nan'])
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(st.lists(st.tuples(NAME, CELL, CELL), min_size=1, max_size=6))
 def test_a_table_holds_what_its_cells_say_one_by_one(rows):
     """However it is parsed: whole blocks at once, or cell by cell where something is odd."""
@@ -121,7 +121,7 @@ def datasets(draw):
     )
 
 
-@settings(max_examples=150)
+@settings(max_examples=50)
 @given(datasets())
 @pytest.mark.long
 def test_what_is_written_is_read_back_exactly(data):

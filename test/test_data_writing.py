@@ -8,8 +8,7 @@ import threading
 import numpy as np
 import pytest
 from measurements import LETTERS, TENTACLE, blind
-from numpy.testing import assert_array_equal
-from small_dataset import INPUTS, assert_same, write
+from small_dataset import assert_same, write
 
 from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.common.files import new_file
@@ -30,27 +29,6 @@ def test_a_copy_says_the_same(folder, tmp_path):
     copy = load_dataset(save_dataset(data, tmp_path / 'copy'))
     assert_same(copy, data)
     assert dataclasses.replace(copy.robot, source='') == dataclasses.replace(data.robot, source='')
-
-
-def test_inputs_of_every_trial_and_orientations_are_written(tmp_path):
-    inputs = 'posture,trial,left,right\n0,0,0.001,\n0,1,0.002,\n1,0,0.003,0.1e-3\n'
-    shapes = (
-        'posture,trial,marker,x,y,z,qx,qy,qz,qw\n0,0,1,0,0,0.01,0,0,0,1\n0,1,1,0,0,0.01,,,,\n'
-        '1,0,1,0,0,0.01,1,0,0,0\n'
-    )
-    dataset = 'input: displacement\n'
-    data = load_dataset(write(tmp_path / 'a', dataset=dataset, inputs=inputs, shapes=shapes))
-    copy = load_dataset(save_dataset(data, tmp_path / 'b'))
-    for name in ('inputs', 'trial_inputs', 'positions', 'orientations', 'input'):
-        assert_array_equal(getattr(copy, name), getattr(data, name), name)
-
-
-def test_a_sequence_keeps_postures_without_a_measurement(tmp_path):
-    inputs = INPUTS.replace('1,1.0', 'turn,2,2\n1,1.0')
-    data = load_dataset(write(tmp_path / 'a', dataset='path: sequence', inputs=inputs))
-    copy = load_dataset(save_dataset(data, tmp_path / 'b'))
-    assert copy.postures == ('0', 'turn', '1')
-    assert_array_equal(copy.trials, data.trials)
 
 
 def test_markers_that_were_never_seen_are_not_declared(small, tmp_path):

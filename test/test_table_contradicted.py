@@ -8,7 +8,15 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip('pandas')
 
-from laboratory_tables import ARM, CALM, PLACES, calm_recording, noisy_recording, recorded
+from laboratory_tables import (
+    ARM,
+    CALM,
+    PLACES,
+    calm_import,
+    calm_recording,
+    noisy_recording,
+    recorded,
+)
 
 from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.model.model import Model
@@ -57,7 +65,7 @@ def test_a_bad_table_is_one_line(calm, change, message):
 
 
 def test_a_marker_that_was_never_seen_is_said_and_left_out(calm):
-    columns = import_table(calm, ARM, {'up': 'y'}).recipe.markers[1].columns
+    columns = calm_import().recipe.markers[1].columns
     imported = import_table(calm.assign(**dict.fromkeys(columns, np.nan)), ARM, {'up': 'y'})
     assert len(imported.dataset.markers) == len(PLACES) - 1
     name = columns[0].removesuffix('_x [mm]').replace('_', ' ')
@@ -69,7 +77,7 @@ def test_a_marker_that_was_never_seen_is_said_and_left_out(calm):
 
 def test_a_recipe_whose_places_are_those_of_other_markers_is_contradicted(calm):
     """Markers without labels are numbered anew in every recording."""
-    first = import_table(calm, ARM, {'up': 'y'})
+    first = calm_import()
     assert not first.look
     markers = first.recipe.markers
     names = [name for marker in markers for name in marker.columns]
@@ -120,7 +128,7 @@ def test_a_marker_that_would_sit_at_the_base_and_moves_asks_for_the_length_of_th
     )
     look = import_table(calm, replace(ARM, sections=(short,)), {'up': 'y'}).look
     assert any('would sit at the base: is the arm longer than its 90' in one for one in look)
-    assert not any('sit at the base' in one for one in import_table(calm, ARM, {'up': 'y'}).look)
+    assert not any('sit at the base' in one for one in calm_import().look)
 
 
 def test_markers_beside_the_backbone_are_noticed_and_can_be_said():

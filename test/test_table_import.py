@@ -19,7 +19,9 @@ from laboratory_tables import (
     EXACT,
     PLACES,
     QUIET,
+    calm_import,
     calm_recording,
+    noisy_import,
     noisy_recording,
     recorded,
 )
@@ -53,8 +55,8 @@ def noisy():
     return noisy_recording()
 
 
-def test_an_exact_recording_gives_the_model_back(calm):
-    imported = import_table(calm, ARM, {'up': 'y'})
+def test_an_exact_recording_gives_the_model_back():
+    imported = calm_import()
     data = imported.dataset
     assert data.path == 'from_straight'
     assert_allclose(data.inputs[1:], default_postures(ARM, 4), atol=1e-3)
@@ -64,8 +66,8 @@ def test_an_exact_recording_gives_the_model_back(calm):
     assert imported.frame.residual < 3e-4
 
 
-def test_the_frame_is_the_one_that_the_tracker_stood_in(calm):
-    frame = import_table(calm, ARM, {'up': 'y'}).frame
+def test_the_frame_is_the_one_that_the_tracker_stood_in():
+    frame = calm_import().frame
     turn, shift = tracker_frame(ARM.gravity, CALM)  # base to tracker
     assert_allclose(frame.rotation @ turn, np.eye(3), atol=3e-3)
     assert_allclose(frame.rotation @ shift + frame.shift, 0.0, atol=3e-4)
@@ -86,7 +88,7 @@ def test_any_rotation_of_the_tracker_gives_the_same_data_set(calm, method, seed)
 
 
 def test_markers_in_another_order_give_the_same_data_set(calm):
-    reference = import_table(calm, ARM, {'up': 'y'}).dataset
+    reference = calm_import().dataset
     order = np.random.default_rng(5).permutation(len(calm.columns))
     again = import_table(calm[calm.columns[order]], ARM, {'up': 'y'}).dataset
     assert_allclose(again.positions, reference.positions, atol=1e-9)
@@ -114,11 +116,11 @@ def test_dates_whose_whole_seconds_have_no_decimals_are_times(calm):
     written = [str(datetime(2026, 3, 1) + timedelta(seconds=t)) for t in calm['time_s'].round(3)]
     assert {len(text) for text in written} == {19, 26}
     dated = import_table(calm.drop(columns='time_s').assign(time=written), ARM, {'up': 'y'})
-    assert_allclose(dated.dataset.mean, import_table(calm, ARM, {'up': 'y'}).dataset.mean)
+    assert_allclose(dated.dataset.mean, calm_import().dataset.mean)
 
 
 def test_units_do_not_matter(calm):
-    reference = import_table(calm, ARM, {'up': 'y'})
+    reference = calm_import()
     other = import_table(other_units(calm), ARM, {'up': 'y'})
     assert_allclose(other.dataset.inputs, reference.dataset.inputs, atol=1e-8)
     assert_allclose(other.dataset.positions, reference.dataset.positions, atol=1e-7)
@@ -169,7 +171,7 @@ def test_a_sequence_that_was_gone_through_twice_has_two_trials_of_each_posture()
 
 def test_it_is_said_where_the_way_to_a_posture_is_taken_not_to_matter(calm):
     told = 'from where the arm came to a posture is taken not to matter'
-    assert told not in import_table(calm, ARM, {'up': 'y'}).text()
+    assert told not in calm_import().text()
     # rests that are too short to be measured are rests
     assert told not in import_table(calm, ARM, {'up': 'y', 'rest': 0.0}).text()
     assert told in import_table(walked()[0], ARM, {'up': 'y'}).text()
@@ -262,11 +264,11 @@ def test_visits_in_any_order_come_out_of_a_table_as_they_were_made(tmp_path):
     assert load_recipe(tmp_path / 'visits' / 'import.yaml').path == 'visits'
 
 
-def test_trials_that_differ_by_the_way_ask_for_visits_and_others_do_not(calm):
+def test_trials_that_differ_by_the_way_ask_for_visits_and_others_do_not():
     frame, _ = walked(friction_memory={'presliding_length': 4e-4, 'exponent': 1.0})
     look = '\n'.join(import_table(frame, ARM, {'up': 'y'}).look)
     assert 'apart where the arm came from different ones' in look and '--path visits' in look
-    assert not any('different ones' in line for line in import_table(calm, ARM, {'up': 'y'}).look)
+    assert not any('different ones' in line for line in calm_import().look)
 
 
 def test_trials_that_differ_by_their_inputs_do_not_ask_for_visits():
@@ -275,8 +277,8 @@ def test_trials_that_differ_by_their_inputs_do_not_ask_for_visits():
     assert not any('different ones' in line for line in imported.look)
 
 
-def test_markers_that_exchange_their_columns_are_put_back_and_said(noisy, tmp_path):
-    reference = import_table(noisy, ARM, {'up': 'y'})
+def test_markers_that_exchange_their_columns_are_put_back_and_said(noisy):
+    reference = noisy_import()
     mixed, half = noisy.copy(), len(noisy) // 2
     for axis in 'xyz':
         one, other = (f'marker_{n}_{axis} [mm]' for n in ('03', '04'))
@@ -289,7 +291,7 @@ def test_markers_that_exchange_their_columns_are_put_back_and_said(noisy, tmp_pa
 
 
 def test_a_marker_that_is_numbered_anew_is_followed(noisy, tmp_path):
-    reference = import_table(noisy, ARM, {'up': 'y'})
+    reference = noisy_import()
     mixed = noisy.copy()
     half = len(mixed) // 2
     for axis in 'xyz':
@@ -323,14 +325,11 @@ def test_a_column_that_says_what_was_seen_counts(noisy, column, seen, hidden):
     imported = import_table(told, ARM, {'up': 'y'})
     assert any(f'the column {column} says so' in line for line in imported.dropped)
     assert not any('columns: ' in line for line in imported.dropped)
-    assert (
-        np.abs(imported.dataset.mean - import_table(noisy, ARM, {'up': 'y'}).dataset.mean).max()
-        < 1e-3
-    )
+    assert np.abs(imported.dataset.mean - noisy_import().dataset.mean).max() < 1e-3
 
 
 def test_the_way_is_said_and_a_sequence_of_an_arm_that_was_let_go_is_contradicted(noisy):
-    text = import_table(noisy, ARM, {'up': 'y'}).text()
+    text = noisy_import().text()
     assert 'every posture was loaded from the straight arm (path: from_straight); if' in text
     assert 'LOOK     before' not in text
     wrong = import_table(noisy, ARM, {'up': 'y', 'path': 'sequence'})
@@ -339,7 +338,7 @@ def test_the_way_is_said_and_a_sequence_of_an_arm_that_was_let_go_is_contradicte
 
 
 def test_a_slipped_trial_is_named_and_left_out(noisy):
-    imported = import_table(noisy, ARM, {'up': 'y'})
+    imported = noisy_import()
     ((posture, trial),) = imported.recipe.leave_out
     line = f'posture {posture} trial {trial}: the other trials contradict (a slipped tendon?)'
     assert line in imported.dropped
@@ -351,7 +350,7 @@ def test_a_slipped_trial_is_named_and_left_out(noisy):
 
 
 def test_postures_and_trials_that_a_recipe_leaves_out_are_not_there(calm, tmp_path):
-    every = import_table(calm, ARM, {'up': 'y'})
+    every = calm_import()
     left = import_table(calm, ARM, {'up': 'y', 'leave_out': [['1', '0']]})
     assert left.dropped == (*every.dropped, 'posture 1 trial 0: left out, as leave_out says')
     others = [i for i, name in enumerate(every.dataset.postures) if name != '1']
@@ -370,7 +369,7 @@ def test_gaps_rest_and_jumps_are_told(noisy):
     column = next(name for name in noisy.columns if name.endswith('_x [mm]'))
     still = noisy.index[(noisy['time_s'] > 2.5) & (noisy['time_s'] < 3.2)][::6]
     jumping.loc[still, column] += 40.0
-    reference = import_table(noisy, ARM, {'up': 'y'})
+    reference = noisy_import()
     imported = import_table(jumping, ARM, {'up': 'y'})
     told = ' | '.join(imported.dropped)
     assert 'still segments at rest between the others' in told
@@ -385,8 +384,8 @@ def test_gaps_rest_and_jumps_are_told(noisy):
 
 
 @pytest.mark.slow  # docs/from_mocap_to_verdict.md goes the same way, to a load within its interval
-def test_what_was_hidden_is_found_through_the_table(noisy):
-    imported = import_table(noisy, ARM, {'up': 'y'})
+def test_what_was_hidden_is_found_through_the_table():
+    imported = noisy_import()
     assert imported.frame.residual > 5e-3  # the model lacks the load, the frame is off by it
     found = diagnose(imported.dataset)
     assert [effect.name for effect in found.effects] == ['tip_load']
@@ -440,14 +439,14 @@ def test_an_export_of_optitrack_says_itself_where_up_is(calm, tmp_path):
     )
     told = import_table([tmp_path / 'cells.csv', tmp_path / 'take.csv'], ARM, {'delay': 0.0})
     assert (told.recipe.up, told.frame.method) == ('y', 'level')
-    same = import_table(calm, ARM, {'up': 'y'}).dataset
+    same = calm_import().dataset
     assert_allclose(told.dataset.mean, same.mean, atol=1e-5)
 
 
 def test_two_tables_of_one_recording_are_joined_on_time(calm):
     tensions = calm[[name for name in calm.columns if '[mm]' not in name]][::2]
     markers = calm[[name for name in calm.columns if '[N]' not in name]]
-    reference = import_table(calm, ARM, {'up': 'y'}).dataset
+    reference = calm_import().dataset
     joined = import_table([tensions, markers], ARM, {'up': 'y'}).dataset
     assert_allclose(joined.mean, reference.mean, atol=2e-4)
     assert_allclose(joined.inputs, reference.inputs, atol=2e-3)
@@ -459,7 +458,7 @@ def test_nothing_is_measured_where_the_inputs_have_ended(calm):
     """Nor before they begin."""
     places = [name for name in calm.columns if '[mm]' in name]
     inputs, markers = calm.drop(columns=places), calm[['time_s', *places]]
-    whole = import_table(calm, ARM, {'up': 'y'}).dataset
+    whole = calm_import().dataset
     for rows, delay in ((inputs['time_s'] < 12.5, 0.0), (inputs['time_s'] > 9.0, -9.05)):
         part = import_table([inputs[rows], markers], ARM, {'up': 'y', 'delay': delay})
         assert part.frame.residual < 3e-4
