@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from measurements import LETTERS, TENTACLE, blind
+from measurements import TENTACLE
 from numpy.testing import assert_array_equal
 from small_dataset import INPUTS, ROBOT, SHAPES, write
 
@@ -219,15 +219,6 @@ def test_a_data_set_executes_nothing(tmp_path):
     with pytest.raises(DataSetError, match='is no valid YAML'):
         load_dataset(write(tmp_path / 'small', dataset=text))
     assert not trap.exists()
-
-
-@pytest.mark.parametrize('part', ['fit', 'check'])
-@pytest.mark.parametrize('letter', LETTERS)
-def test_every_blind_case_loads(letter, part):
-    data = load_dataset(blind(letter) / part)
-    assert data.markers == default_markers(data.robot)
-    assert set(data.trials) == {5}
-    assert data.mask.all()
 
 
 def test_the_tentacle_loads():

@@ -55,6 +55,11 @@ def noisy():
     return noisy_recording()
 
 
+@pytest.fixture(scope='module')
+def walk():
+    return walked()
+
+
 def test_an_exact_recording_gives_the_model_back():
     imported = calm_import()
     data = imported.dataset
@@ -73,8 +78,7 @@ def test_the_frame_is_the_one_that_the_tracker_stood_in():
     assert_allclose(frame.rotation @ shift + frame.shift, 0.0, atol=3e-4)
 
 
-@pytest.mark.parametrize('method', ['model', 'straight'])
-@pytest.mark.parametrize('seed', [0, 1])
+@pytest.mark.parametrize(('method', 'seed'), [('model', 0), ('straight', 1)])
 def test_any_rotation_of_the_tracker_gives_the_same_data_set(calm, method, seed):
     turn = Rotation.random(random_state=seed).as_matrix()
     moved = calm.copy()
@@ -169,12 +173,12 @@ def test_a_sequence_that_was_gone_through_twice_has_two_trials_of_each_posture()
     assert import_table(once, ARM, {'up': 'y', 'path': 'sequence'}).dataset.trials.max() == 1
 
 
-def test_it_is_said_where_the_way_to_a_posture_is_taken_not_to_matter(calm):
+def test_it_is_said_where_the_way_to_a_posture_is_taken_not_to_matter(calm, walk):
     told = 'from where the arm came to a posture is taken not to matter'
     assert told not in calm_import().text()
     # rests that are too short to be measured are rests
     assert told not in import_table(calm, ARM, {'up': 'y', 'rest': 0.0}).text()
-    assert told in import_table(walked()[0], ARM, {'up': 'y'}).text()
+    assert told in import_table(walk[0], ARM, {'up': 'y'}).text()
 
 
 @pytest.mark.parametrize('rows', [slice(1), slice(9)])
@@ -183,9 +187,9 @@ def test_rows_at_one_time_are_no_duration_that_could_be_shorter(calm, rows):
         import_table(calm[rows].assign(time_s=0.0), ARM, {'up': 'y'})
 
 
-def test_rows_that_were_taken_after_the_arm_had_settled_are_each_a_measurement(tmp_path):
+def test_rows_that_were_taken_after_the_arm_had_settled_are_each_a_measurement(walk, tmp_path):
     """Too far apart to show stillness; said, and asked for with `--column time=none`."""
-    (frame, places), path = walked(), tmp_path / 'rows.csv'
+    (frame, places), path = walk, tmp_path / 'rows.csv'
     settled = frame.iloc[::48].assign(time_s=lambda rows: 0.6 * np.arange(len(rows)))
     guess = {'up': 'y', 'path': 'sequence', 'frame': {'method': 'model'}}
     with pytest.raises(DataSetError, match=r'0.6 s apart, .*say --column time=none'):
@@ -200,8 +204,8 @@ def test_rows_that_were_taken_after_the_arm_had_settled_are_each_a_measurement(t
 
 
 @pytest.mark.parametrize('rows', [slice(1, None), slice(None, -1)])
-def test_tables_without_times_that_differ_in_length_are_refused(rows):
-    frame = walked()[0].iloc[::48].drop(columns='time_s')
+def test_tables_without_times_that_differ_in_length_are_refused(walk, rows):
+    frame = walk[0].iloc[::48].drop(columns='time_s')
     places = [name for name in frame.columns if '[mm]' in name]
     tables = frame.drop(columns=places), frame[places]
     for one, other in ((tables[0][rows], tables[1]), (tables[0], tables[1][rows])):
@@ -246,8 +250,13 @@ def walked(seed=4, drift=0.0, **hidden):
     return pandas.DataFrame(np.column_stack([times, values]), columns=names), places
 
 
-def test_visits_in_any_order_come_out_of_a_table_as_they_were_made(tmp_path):
-    frame, truth = walked(friction_memory={'presliding_length': 4e-4, 'exponent': 1.0})
+@pytest.fixture(scope='module')
+def remembering():
+    return walked(friction_memory={'presliding_length': 4e-4, 'exponent': 1.0})
+
+
+def test_visits_in_any_order_come_out_of_a_table_as_they_were_made(remembering, tmp_path):
+    frame, truth = remembering
     imported = import_table(frame, ARM, {'up': 'y', 'path': 'visits'})
     data, visits = imported.dataset, imported.dataset.visits
     assert data.path == 'visits' and 'without letting go' in imported.text()
@@ -264,9 +273,8 @@ def test_visits_in_any_order_come_out_of_a_table_as_they_were_made(tmp_path):
     assert load_recipe(tmp_path / 'visits' / 'import.yaml').path == 'visits'
 
 
-def test_trials_that_differ_by_the_way_ask_for_visits_and_others_do_not():
-    frame, _ = walked(friction_memory={'presliding_length': 4e-4, 'exponent': 1.0})
-    look = '\n'.join(import_table(frame, ARM, {'up': 'y'}).look)
+def test_trials_that_differ_by_the_way_ask_for_visits_and_others_do_not(remembering):
+    look = '\n'.join(import_table(remembering[0], ARM, {'up': 'y'}).look)
     assert 'apart where the arm came from different ones' in look and '--path visits' in look
     assert not any('different ones' in line for line in calm_import().look)
 
@@ -471,7 +479,7 @@ def test_nothing_is_measured_where_the_inputs_have_ended(calm):
         import_table([inputs, markers], ARM, {'up': 'y', 'delay': 1000.0})
 
 
-@pytest.mark.parametrize('delay', [-12.4, 0.0, 0.37, 5.0])
+@pytest.mark.parametrize('delay', [-12.4, 0.0, 0.37])
 def test_the_delay_of_a_clock_of_its_own_is_found_said_and_written(noisy, delay):
     tensions = noisy[[name for name in noisy.columns if '[mm]' not in name]]
     markers = noisy[[name for name in noisy.columns if '[N]' not in name]]
