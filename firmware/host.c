@@ -1,5 +1,4 @@
 /* The same firmware on a computer: bytes and measurements come from a caller, duties go back. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "board.h"
@@ -17,11 +16,6 @@ static bool send(const uint8_t *bytes, uint8_t size)
     memcpy(outbox + outbox_size, bytes, size);
     outbox_size += size;
     return true;
-}
-
-int host_channels(void)
-{
-    return CHANNELS;
 }
 
 void host_power_on(void)
@@ -57,15 +51,4 @@ unsigned host_take(uint8_t *bytes)
 int host_decode(const uint8_t *bytes, uint8_t size, struct frame *frame)
 {
     return frame_decode(bytes, size, frame) ? frame->length : -1;
-}
-
-unsigned host_encode(uint8_t type, uint8_t sequence, const uint8_t *payload, uint8_t length,
-                     uint8_t *out)
-{
-    return frame_encode(type, sequence, payload, length, out);
-}
-
-unsigned host_crc(const uint8_t *bytes, uint8_t size)
-{
-    return crc16(bytes, size);
 }

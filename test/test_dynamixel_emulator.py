@@ -113,8 +113,6 @@ def test_torque_comes_on_with_the_power_where_the_startup_configuration_says_so(
         ({'profile_velocity': 100}, 22.9),  # "Profile Velocity(112)": 0.229 rev/min
         ({'pwm_limit': 443}, 23.0),  # "PWM Limit(36)": 885 is 100 %
         ({'goal_pwm': 443}, 23.0),
-        ({'drive_mode': 4, 'profile_velocity': 2000}, 30.0),  # by time: a turn in 2,000 ms
-        ({'drive_mode': 1}, -46.0),  # "Drive Mode(10)": reverse
     ],
 )
 def test_registers_that_steer_motion_do_what_the_manual_says(registers, speed):
@@ -127,14 +125,6 @@ def test_registers_that_steer_motion_do_what_the_manual_says(registers, speed):
     assert servo.motion.speed * 60.0 / (2.0 * math.pi) == pytest.approx(speed, rel=0.01)
 
 
-def test_a_goal_switches_the_torque_on_where_the_drive_mode_says_so(servo):
-    assert write(servo, 'goal_position', 10) == 0
-    assert not servo.torque
-    assert write(servo, 'drive_mode', 8) == 0
-    assert write(servo, 'goal_position', 10) == 0
-    assert servo.torque
-
-
 def test_another_operating_mode_resets_gains_profile_and_pwm(servo):
     for name, value in [('position_p_gain', 7), ('profile_velocity', 5), ('goal_pwm', 9)]:
         assert write(servo, name, value) == 0
@@ -143,15 +133,6 @@ def test_another_operating_mode_resets_gains_profile_and_pwm(servo):
     assert write(servo, 'operating_mode', 5) == 0
     found = [servo.get(name) for name in ('position_p_gain', 'profile_velocity', 'goal_pwm')]
     assert found == [GAINS['position_p_gain'], 0, 885]
-
-
-def test_a_secondary_id_obeys_without_an_answer_and_keeps_its_flash(bus):
-    bus, line = bus
-    line.servo(3).put('secondary_id', 2)
-    assert bus.write(2, 'led', 1) is None
-    assert bus.write(2, 'return_delay_time', 5) is None
-    assert [line.servo(i).get('led') for i in (1, 2, 3, 4)] == [0, 1, 1, 0]
-    assert [line.servo(i).get('return_delay_time') for i in (2, 3)] == [5, 250]
 
 
 def test_the_watchdog_rests_while_torque_is_off(servo):

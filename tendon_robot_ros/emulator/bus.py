@@ -26,7 +26,7 @@ import numpy as np
 from ..drivers.dynamixel.control_table import BAUD_RATES, REGISTERS, Counts, HardwareError
 from .port import COMMON_HELP, Command, Plug
 from .rig import HangingWeights, Rig
-from .servo import RAM_BEGIN, Servo, StatusError
+from .servo import Servo, StatusError
 
 
 class InstructionCode(IntEnum):
@@ -35,27 +35,15 @@ class InstructionCode(IntEnum):
     PING = 0x01
     READ = 0x02
     WRITE = 0x03
-    REG_WRITE = 0x04
-    ACTION = 0x05
-    FACTORY_RESET = 0x06
     REBOOT = 0x08
-    CLEAR = 0x10
     STATUS = 0x55
     SYNC_READ = 0x82
     SYNC_WRITE = 0x83
     FAST_SYNC_READ = 0x8A
-    BULK_READ = 0x92
-    BULK_WRITE = 0x93
-
-
-class SpecialId(IntEnum):
-    """Ids that are no servo's: manual, "Packet ID" and address 12."""
-
-    BROADCAST = 0xFE
-    NO_SECONDARY = 253  # and those above it
 
 
 HEADER = b'\xff\xff\xfd\x00'
+BROADCAST = 0xFE  # [1] the id of all servos: manual, "Packet ID"
 PACKET_BYTES_MAX = 1024  # [bytes] else a broken length would swallow all that follows
 PACKET_GAP_S = 0.02  # [s] of silence that ends a broken packet, else it would wait for its end
 BOOT_TIME_S = 0.3  # [s] of silence after a reboot, so that a driver has to wait for it
@@ -123,7 +111,7 @@ def fast_status(parts: list[tuple[int, int, bytes]]) -> bytes:
 
     """
     length = sum(len(data) + 4 for _, _, data in parts) + 1
-    out = HEADER + bytes([SpecialId.BROADCAST]) + length.to_bytes(2, 'little')
+    out = HEADER + bytes([BROADCAST]) + length.to_bytes(2, 'little')
     out += bytes([InstructionCode.STATUS])
     for identity, error, data in parts:
         out = with_crc(out + bytes([error, identity]) + data)
@@ -215,17 +203,13 @@ class Responder:
             address, length = _address_and_length(parameters)
             for start in range(4, len(parameters) - length, length + 1):
                 identity, data = parameters[start], parameters[start + 1 : start + 1 + length]
-                self._shadowed(servos, identity, address, data)
                 if identity in servos:
                     self._write(servos[identity], address, data)
             return b''
         if code in (InstructionCode.SYNC_READ, InstructionCode.FAST_SYNC_READ):
             answering = {i: servo for i, servo in servos.items() if _answers(servo, code)}
             return sync_read(answering, parameters, code == InstructionCode.FAST_SYNC_READ)
-        if code == InstructionCode.WRITE and len(parameters) > 2:
-            address, data = int.from_bytes(parameters[:2], 'little'), parameters[2:]
-            self._shadowed(servos, instruction.identity, address, data)
-        everyone = instruction.identity == SpecialId.BROADCAST
+        everyone = instruction.identity == BROADCAST
         addressed = sorted(servos) if everyone else [instruction.identity]
         answers = [self.answer(servos[i], code, parameters) for i in addressed if i in servos]
         return b'' if everyone and code != InstructionCode.PING else b''.join(answers)
@@ -245,15 +229,6 @@ class Responder:
             self.booting[servo.identity] = time.monotonic() + BOOT_TIME_S
             error = 0
         return status(servo.identity, error, data) if _answers(servo, code) else b''
-
-    def _shadowed(
-        self, servos: dict[int, Servo], identity: int, address: int, data: bytes
-    ) -> None:
-        """Let servos whose secondary id is meant obey, without an answer; not in their flash."""
-        for servo in servos.values():
-            shadows = servo.get('secondary_id') == identity != servo.identity
-            if shadows and identity < SpecialId.NO_SECONDARY and address >= RAM_BEGIN:
-                self._write(servo, address, data)
 
     def _write(self, servo: Servo, address: int, data: bytes) -> int:
         error = servo.write(address, data)

@@ -7,9 +7,11 @@ The manual does not say whether a stopped servo holds; here it is powerless in c
 holds its position in the position modes.
 
 The dry friction is that of a geared servo: below it nothing moves, winding needs more current than
-the wire's tension alone, paying out less. The addresses, units and enumerations are those of the
-driver's `control_table`: both are the manual's. The behaviour of the servo is written here from
-the manual alone.
+the wire's tension alone, paying out less. Drive mode, homing offset and secondary id have no
+effect: the driver lets no torque come on with any but their defaults.
+
+The addresses, units and enumerations are those of the driver's `control_table`: both are the
+manual's. The behaviour of the servo is written here from the manual alone.
 
 References
 ----------
@@ -29,7 +31,6 @@ from ..drivers.dynamixel.control_table import (
     REGISTERS,
     TABLE_BYTES,
     Counts,
-    DriveMode,
     HardwareError,
     OperatingMode,
     Register,
@@ -221,7 +222,6 @@ class Servo:
         self.temperature = 30.0  # [°C]
         self.voltage = 0.5 * sum(model.voltage)  # [V]
         self._bytes = bytearray(TABLE_BYTES)
-        self._leg = 0.0  # [rad] from where the last goal position found it
         eeprom = {
             'model_number': model.number,
             'firmware_version': firmware,
@@ -270,11 +270,6 @@ class Servo:
         register = REGISTERS[name]
         start = register.address
         self._bytes[start : start + register.size] = encode(register, value)
-
-    @property
-    def sign(self) -> int:
-        """Direction of growing positions: -1 where the drive mode turns the motor round."""
-        return -1 if self.get('drive_mode') & DriveMode.REVERSE else 1
 
     @property
     def torque(self) -> bool:
@@ -333,19 +328,14 @@ class Servo:
 
     def _accept(self, name: str, value: int) -> None:
         """Write a register, with the side effects of the firmware."""
-        on_by_goal = name in GOALS and self.get('drive_mode') & DriveMode.TORQUE_ON_BY_GOAL
-        if (on_by_goal or (name == 'torque_enable' and value)) and not self.torque:
+        if name == 'torque_enable' and value and not self.torque:
             self.put('goal_position', self.get('present_position'))
             if self.get('operating_mode') == OperatingMode.CURRENT:
                 self.put('goal_current', 0)
         before = self.get(name)
         self.put(name, value)
-        if on_by_goal and not self._shut_down():
-            self.put('torque_enable', 1)
         if name == 'operating_mode' and value != before:
             self._mode_to_defaults()
-        if name == 'goal_position':
-            self._leg = abs(self._to_angle(value) - self.motion.angle)
         self.refresh()
 
     def _shut_down(self) -> bool:
@@ -364,13 +354,6 @@ class Servo:
         self.put('goal_current', 0 if in_current_mode else self.get('current_limit'))
         self.put('goal_pwm', self.get('pwm_limit'))
 
-    def _to_angle(self, position: int) -> float:
-        """Return the angle [rad] of a position as the table has it."""
-        return self.sign * (position - self.get('homing_offset')) * RADIANS_PER_TICK
-
-    def _to_position(self, ticks: int) -> int:
-        return self.sign * ticks + self.get('homing_offset')
-
     def feed_watchdog(self) -> None:
         """Reset the watchdog's timer, as every instruction packet on the bus does."""
         self.silence = 0.0
@@ -387,7 +370,7 @@ class Servo:
         watchdog = self.get('bus_watchdog') * REGISTERS['bus_watchdog'].unit
         if self.torque and not self.tripped and 0 < watchdog < self.silence:
             self.put('bus_watchdog', Counts.WATCHDOG_TRIPPED)
-            self.put('goal_position', self._to_position(self.motion.ticks))
+            self.put('goal_position', self.motion.ticks)
             if self.get('operating_mode') == OperatingMode.CURRENT:
                 self.put('goal_current', 0)
         if self.temperature > self.get('temperature_limit'):
@@ -401,11 +384,11 @@ class Servo:
         if not self.torque:
             self.motion.drive_current(0.0, load, step)
             return
-        unit, model, drive_mode = self.model.current_unit, self.model, self.get('drive_mode')
+        unit, model = self.model.current_unit, self.model
         duty = min(self.get('pwm_limit'), abs(self.get('goal_pwm'))) / Counts.PWM_FULL
         stalled = duty * model.stall_torque / model.torque_per_ampere  # [A]
         limit = min(self.get('current_limit') * unit, stalled)
-        current = self.sign * self.get('goal_current') * unit
+        current = self.get('goal_current') * unit
         mode = self.get('operating_mode')
         if mode == OperatingMode.CURRENT:
             self.motion.drive_current(max(-limit, min(limit, current)), load, step)
@@ -413,18 +396,16 @@ class Servo:
         if mode == OperatingMode.CURRENT_BASED_POSITION:
             limit = min(limit, abs(current))
         top, profile = duty * model.no_load_speed, self.get('profile_velocity')
-        if profile and drive_mode & DriveMode.TIME_BASED:
-            top = min(top, self._leg / (1e-3 * profile))
-        elif profile:
+        if profile:
             top = min(top, profile * REGISTERS['profile_velocity'].unit)
-        goal = self._to_angle(self.get('goal_position'))
+        goal = self.get('goal_position') * RADIANS_PER_TICK
         gain = self.get('position_p_gain') / GAINS['position_p_gain']
         self.motion.drive_position(goal, limit, load, step, top, gain)
 
     def refresh(self) -> None:
         """Write the readings of the sensors into the table."""
         motion = self.motion
-        self.put('present_position', self._to_position(motion.ticks))
+        self.put('present_position', motion.ticks)
         self.put('present_current', round(motion.current / self.model.current_unit))
         self.put('present_velocity', round(motion.speed / REGISTERS['present_velocity'].unit))
         self.put('present_temperature', round(self.temperature))

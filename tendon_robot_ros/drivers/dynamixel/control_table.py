@@ -44,14 +44,6 @@ class OperatingMode(IntEnum):
     CURRENT_BASED_POSITION = 5
 
 
-class DriveMode(IntFlag):
-    """Bits of address 10."""
-
-    REVERSE = 0x01
-    TIME_BASED = 0x04
-    TORQUE_ON_BY_GOAL = 0x08
-
-
 class HardwareError(IntFlag):
     """Bits of address 70, and of address 63: which of them switch the torque off."""
 
