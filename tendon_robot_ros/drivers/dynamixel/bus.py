@@ -31,7 +31,7 @@ from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
 from itertools import cycle
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import serial
 from dynamixel_sdk import (
@@ -152,14 +152,14 @@ class Bus(PortLink):
 
     """
 
+    _port: Port  # of the open port
+
     def __init__(self, path: str, baud: int, answer_time: float) -> None:
         """Take the path of the port, the baud rate and the time to wait for an answer [s]."""
         super().__init__(path, baud)
         self.failures = {'no or broken answer': 0, 'port lost': 0}
         self.answer_time, self.fast = answer_time, False
         self._packets = Protocol2PacketHandler()
-        self._port: Port | None = None
-        self._readers: dict[tuple[int, int, tuple[int, ...]], Any] = {}
         self._responding: list[int] = []  # ids of servos that answered, the last one first
         self._behind = False  # a late answer may still arrive
         self._fresh_lengths = cycle(FRESH_LENGTHS)
@@ -170,16 +170,9 @@ class Bus(PortLink):
         super()._open()
         self._port = Port(self._device, self.answer_time)
 
-    def close(self) -> None:
-        """Close the port; never raises."""
-        super().close()
-        self._port = None
-        self._readers.clear()
-
     def _talk(self, what: Callable[[Port], T]) -> T:
         """Run one conversation; a failing port is closed at once and reported as lost."""
         with self.conversation():
-            assert self._port is not None
             if not self._behind and self._port.waiting():
                 self._stray.append(time.monotonic())
             if self._behind and self._responding:  # read past late answers
@@ -195,7 +188,6 @@ class Bus(PortLink):
         if who:
             return who
         with contextlib.suppress(PortLostError), self.conversation():
-            assert self._port is not None
             time.sleep(ANSWER_TIMEOUT_S)  # what comes later is no late answer
             self._port.clearPort()
             if self._port.waiting(2.0 * ANSWER_TIMEOUT_S):
@@ -338,12 +330,9 @@ class Bus(PortLink):
         self, port: Port, address: int, length: int, identities: tuple[int, ...]
     ) -> dict[int, bytes] | None:
         """Read the same bytes from several servos at once, None where any of them is missing."""
-        reader = self._readers.get((address, length, identities))
-        if reader is None:
-            reader = GroupSyncRead(port, self._packets, address, length)
-            for identity in identities:
-                reader.addParam(identity)
-            self._readers[address, length, identities] = reader
+        reader = GroupSyncRead(port, self._packets, address, length)
+        for identity in identities:
+            reader.addParam(identity)
         try:
             result = reader.fastSyncRead() if self.fast else reader.txRxPacket()
         except (IndexError, struct.error):  # an answer shorter than the SDK expects
