@@ -44,6 +44,13 @@ tension_limits: [0.2, 5.0]
 effects: {}
 """
 
+SHARED = {  # the motors of `antagonists`
+    'east': {'id': 1},
+    'west': {'id': 1, 'direction': -1},
+    'north': {'id': 2},
+    'south': {'id': 2, 'direction': -1},
+}
+
 
 def robot():
     return parse_robot(ROBOT, 'four.yaml')

@@ -70,11 +70,12 @@ def test_a_coarse_current_is_taken_when_allowed_or_when_not_commanded(change):
     assert parsed(model='XM430-W350', spool_radius=0.010, **change).motors
 
 
-def test_a_calibration_replaces_the_assumed_friction():
+@pytest.mark.parametrize('common', [None, {'wind': [0.9, 1.0], 'pay_out': [-0.9, 1.0]}])
+def test_a_calibration_replaces_the_assumed_friction_and_that_of_the_motor_comes_first(common):
     fine = {'wind': [0.4, 1.0], 'pay_out': [-0.4, 1.0], 'scatter': 0.0}
     motors = emulated.config('')['motors']
     motors['east'] |= {'model': 'XM430-W350', 'calibration': fine}
-    wire = parsed(motors=motors).motors[0]
+    wire = parsed(motors=motors, calibration=common and {'east': common}).motors[0]
     assert wire.resolution.band == pytest.approx(0.4)
     assert wire.calibration.measured
 
@@ -159,13 +160,7 @@ def test_no_command_makes_a_goal_outside_the_bounds(command, mode):
 
 
 def test_two_tendons_on_one_motor_share_it_in_antagonism():
-    motors = {
-        'east': {'id': 1},
-        'west': {'id': 1, 'direction': -1},
-        'north': {'id': 2},
-        'south': {'id': 2, 'direction': -1},
-    }
-    shared = make_motors(parsed(mode='pull', motors=motors), 'pull')
+    shared = make_motors(parsed(mode='pull', motors=emulated.SHARED), 'pull')
     assert list(shared) == [1, 2]
     motor = shared[1]
     motor.ticks, motor.zero = 0, 0.0

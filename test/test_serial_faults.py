@@ -12,6 +12,7 @@ from emulated import arrive, codes, healthy, until
 from emulated_board import needs_compiler
 
 from tendon_robot_ros.common.errors import DriverError
+from tendon_robot_ros.emulator.board import Gearmotor
 
 pytest.importorskip('serial')
 pytestmark = needs_compiler
@@ -80,20 +81,12 @@ def test_a_few_broken_frames_change_nothing(arm, what):
 
 
 @pytest.mark.slow
-def test_frames_that_stay_broken_are_a_silent_board(arm):
+@pytest.mark.parametrize(('begin', 'end'), [('spoil 999999', 'spoil 0'), ('slow 0.15', 'slow 0')])
+def test_a_board_without_good_frames_is_silent_and_comes_back(arm, begin, end):
     driver, line, command = arm
-    line.spoilt = 10**9
-    until(driver, command, lambda r: codes(r) == {'silent'})
-    line.spoilt = 0
-    until(driver, command, healthy)
-
-
-@pytest.mark.slow
-def test_a_slow_link_is_recovered_from(arm):
-    driver, line, command = arm
-    line.delay = 0.15
-    until(driver, command, lambda r: r.faults)
-    line.delay = 0.0
+    line.obey(begin)
+    until(driver, command, lambda r: 'silent' in codes(r))
+    line.obey(end)
     until(driver, command, healthy)
 
 
@@ -208,6 +201,16 @@ def test_a_board_that_lost_its_power_counts_pulls_from_where_the_wires_are():
         np.testing.assert_allclose(driver.read().pulls, 0.0, atol=1e-4)
         emulated.cycle(driver, np.zeros(4), 0.5)
         np.testing.assert_allclose(line.rig.places, at, atol=5e-4)
+        driver.close()
+
+
+def test_pulls_are_right_where_a_tick_is_no_whole_number_of_nanometres():
+    with emulated_board.board(stiffness=0.0) as line:
+        line.rig.motor = Gearmotor(ticks_per_turn=625_000)  # 100.53 nm, the board counts 101
+        driver, _ = emulated_board.running(line, 'pull', zero='here')
+        goal = np.array([0.02, 0.01, 0.0, 0.02])
+        until(driver, goal, lambda r: np.allclose(r.pulls, goal, atol=2e-5))
+        np.testing.assert_allclose(line.rig.places, goal, atol=6e-5)
         driver.close()
 
 

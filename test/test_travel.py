@@ -12,7 +12,6 @@ from tendon_robot_ros.common.errors import DriverError, MovedError
 
 pytest.importorskip('dynamixel_sdk')
 
-from tendon_robot_ros.drivers.dynamixel import servos
 from tendon_robot_ros.drivers.dynamixel.control_table import Counts
 
 TRAVEL = 0.01  # [m]
@@ -20,6 +19,10 @@ MORE = 0.002  # [m] the back-off, and what a motor turns until it is told to sto
 KINDS = {
     'dynamixel': (
         lambda: emulated.line(stiffness=0.0),
+        lambda line: emulated.driver_for(line, 'pull', home_travel=TRAVEL),
+    ),
+    'stepped': (
+        lambda: emulated.line(stiffness=0.0, kind=emulated.SteppedLine),
         lambda line: emulated.driver_for(line, 'pull', home_travel=TRAVEL),
     ),
     'serial': (
@@ -41,6 +44,12 @@ class Free:
         self.kind, self.line = kind, make()
         self.begin = self.wound()
 
+    def enabled(self):
+        """Return whether each motor is on."""
+        if self.kind == 'serial':
+            return self.line.rig.enabled
+        return [servo.torque for servo in self.line.rig.servos.values()]
+
     def wound(self):
         """Return the wire on every spool [m], shape (4,)."""
         rig = self.line.rig
@@ -61,10 +70,29 @@ class Free:
         with pytest.raises(MovedError, match='no resistance within home_travel') as told:
             driver.enable()
         assert str(told.value).count('call reset, then') == 1
+        assert not any(self.enabled())
         return np.abs(self.wound() - self.begin).max()
 
 
-@pytest.fixture(params=KINDS)
+@pytest.mark.parametrize('kind', ['dynamixel', 'serial'])
+def test_a_driver_that_is_opened_again_has_its_zero_where_the_wires_are_then(kind):
+    if kind == 'serial' and emulated_board.compiler() is None:
+        pytest.skip('no C compiler')
+    with KINDS[kind][0]() as line:
+        maker = emulated if kind == 'dynamixel' else emulated_board
+        driver = maker.driver_for(line, 'pull', zero='here')
+        for _ in range(2):
+            driver.open()
+            np.testing.assert_allclose(driver.read().pulls, 0.0, atol=1e-4)
+            driver.close()
+            if kind == 'serial':
+                with line._lock:
+                    line.rig.places = line.rig.places + 0.005  # [m] by hand
+            else:
+                line.servo(1).motion.angle += 0.25  # [rad]
+
+
+@pytest.fixture(params=['stepped', 'serial'])
 def free(request):
     made = Free(request.param)
     with made.line:
@@ -79,7 +107,7 @@ def test_attempts_wind_no_more_together_than_one(free):
             assert free.attempt(driver) < TRAVEL + MORE
 
 
-@pytest.mark.parametrize('free', ['dynamixel'], indirect=True)
+@pytest.mark.parametrize('free', ['stepped'], indirect=True)
 def test_a_motor_that_its_watchdog_stopped_has_found_no_wire(free):
     def trip():
         free.wait_until_on_the_way(way=0.004)  # behind the back-off
@@ -92,22 +120,6 @@ def test_a_motor_that_its_watchdog_stopped_has_found_no_wire(free):
         with pytest.raises(MovedError, match='no resistance within home_travel'):
             driver.enable()
         trips.join()
-
-
-def test_a_motor_that_its_watchdog_stopped_while_it_pays_out_is_not_one_that_does_not_turn(
-    monkeypatch,
-):
-    def on_and_tripped(bus, motors, mode, watchdog):
-        torque_on(bus, motors, mode, watchdog)
-        monkeypatch.setattr(servos, 'torque_on', torque_on)
-        for motor in motors:
-            line.servo(motor.identity).put('bus_watchdog', Counts.WATCHDOG_TRIPPED)
-
-    torque_on = servos.torque_on
-    with emulated.line() as line, emulated.driver_for(line, 'pull') as driver:
-        monkeypatch.setattr(servos, 'torque_on', on_and_tripped)
-        driver.enable()
-        assert all(motor.zero is not None for motor in driver.motors.values())
 
 
 def test_another_driver_of_the_process_goes_on_from_the_same_beginning(free):
@@ -128,6 +140,7 @@ def test_a_person_who_resets_gets_the_whole_way_again(free):
         assert free.attempt(driver) > 1.5 * first
 
 
+@pytest.mark.parametrize('free', ['dynamixel', 'serial'], indirect=True)
 def test_a_plug_pulled_in_the_middle_gives_no_second_way(free):
     with free.driver(free.line) as driver:
         pull = threading.Thread(target=free.unplug_on_the_way)
@@ -141,13 +154,15 @@ def test_a_plug_pulled_in_the_middle_gives_no_second_way(free):
         assert free.attempt(driver) < TRAVEL + MORE
 
 
-@pytest.mark.long
 def test_a_search_that_succeeds_counts_for_nothing():
-    with emulated.line(slack=0.006) as line:
+    with emulated.line(slack=0.006, kind=emulated.SteppedLine) as line:
+        begin = {servo: servo.motion.angle for servo in line.rig.servos.values()}
         for _ in range(3):  # 6 mm each: together more than one may
             with emulated.driver_for(line, 'pull', home_travel=TRAVEL) as driver:
                 driver.enable()
-                emulated.cycle(driver, np.full(4, -0.006), 0.4)
+            for servo, angle in begin.items():
+                servo.motion.angle = angle
+                servo.refresh()
 
 
 def test_a_refusal_that_moved_nothing_may_be_tried_again():
@@ -159,7 +174,8 @@ def test_a_refusal_that_moved_nothing_may_be_tried_again():
 
 
 def test_torque_that_fails_after_a_search_is_not_tried_again_either(monkeypatch):
-    with emulated.line() as line, emulated.driver_for(line, 'pull') as driver:
+    stepped = emulated.line(kind=emulated.SteppedLine)
+    with stepped as line, emulated.driver_for(line, 'pull') as driver:
         find_slack = driver._find_slack
 
         def then_broken():

@@ -243,7 +243,7 @@ def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[MotorWire, .
         radius = hardware.read_spool_radius(item, top)
         calibration = from_data_sheet(model, radius)
         if lines.has(name) or item.has('calibration'):
-            source = lines.child(name) if lines.has(name) else item.child('calibration')
+            source = item.child('calibration') if item.has('calibration') else lines.child(name)
             calibration = read_calibration(source, model, radius)
         key, default, low, high, unit = ('pull_rate', 0.02, 1e-6, 1.0, 'm/s')
         if mode == 'tension':

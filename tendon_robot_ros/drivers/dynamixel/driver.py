@@ -65,6 +65,8 @@ class DynamixelDriver(PortDriver):
     def _shake_hands(self) -> None:
         servos.shake_hands(self.link, self.config, self.motors)
         servos.read_state(self.link, self.motors.values())
+        for motor in self.motors.values():  # anybody may have turned it since it was closed
+            motor.zero = None
         self._zero_in_place()
 
     def _slack_unknown(self) -> bool:

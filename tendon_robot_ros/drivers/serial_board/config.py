@@ -115,8 +115,8 @@ def cell_mapping(cell: Cell, points: Sequence[CountsPoint]) -> dict[str, Any]:
 
 # keys of a channel that hold for all channels where they stand at the top of the file
 COMMON_KEYS = ('spool_radius', 'ticks_per_turn', 'pull_limits')
-# [1] of a tick, which the protocol has in whole nanometres: else pulls would be wrong by more than
-# a spool radius is known
+# [1] of a tick, which the protocol has in whole nanometres: else gain and rates of the board would
+# be wrong by more than a spool radius is known
 ROUNDING_MAX = 0.01
 TENDON_KEYS = ('channel', 'direction', 'tension_limit', *COMMON_KEYS)
 
@@ -127,6 +127,12 @@ class ChannelWire(hardware.WireConfig):
 
     channel: int
     cell: Cell | None
+
+    @property
+    def counted(self) -> float:
+        """Metres that the board counts per metre of wire: its ticks have whole nanometres."""
+        nanometres = 1e9 * self.spool.metres_per_tick
+        return round(nanometres) / nanometres
 
     def __str__(self) -> str:
         """Name it for messages."""
@@ -156,11 +162,12 @@ def read_wires(
             )
         cell = read_cell(cells.child(name)) if cells.has(name) else None
         spool = hardware.Spool(radius, direction, ticks_per_turn)
-        nanometres = 1e9 * spool.metres_per_tick
-        if abs(round(nanometres) / nanometres - 1.0) > ROUNDING_MAX:
+        wire = ChannelWire(name, spool, **limits, rate=rate, channel=channel, cell=cell)
+        if abs(wire.counted - 1.0) > ROUNDING_MAX:
             expected = f'whole nanometres of wire per tick, to {ROUNDING_MAX:.0%}'
-            raise counted.error('ticks_per_turn', expected, f'{abs(nanometres):.3g} nm')
-        wires.append(ChannelWire(name, spool, **limits, rate=rate, channel=channel, cell=cell))
+            tick = f'{1e9 * abs(spool.metres_per_tick):.3g} nm'
+            raise counted.error('ticks_per_turn', expected, tick)
+        wires.append(wire)
     channels = [wire.channel for wire in wires]
     for wire in wires:
         if channels.count(wire.channel) > 1:
@@ -207,6 +214,11 @@ class BoardConfig(hardware.PortConfig):
     def places(self) -> Ints:
         """Channel (m,) of every input."""
         return np.array([tendon.channel for tendon in self.tendons])
+
+    @cached_property
+    def counted(self) -> Floats:
+        """Metres (m,) that the board counts per metre of wire, of every input."""
+        return np.array([tendon.counted for tendon in self.tendons])
 
 
 FIELDS = (field.name for field in fields(BoardConfig) if field.name != 'source')

@@ -63,6 +63,7 @@ class SerialDriver(PortDriver):
         self.link.identify(self.config)
         self.link.let_go()
         self.link.ask(Message.CLEAR, b'\xff')
+        self.zero[:] = np.nan  # anybody may have turned the spools since it was closed
         self.link.configure(self.config, np.nan_to_num(self.zero))
         if self._receive(1.0) is None:
             raise DriverError(f'{self.config.port}: no telemetry; check the baud rate')
@@ -146,8 +147,10 @@ class SerialDriver(PortDriver):
 
     def command(self, mode: str, goal: Floats) -> None:
         """Send one command, shape (m,) [N] or [m], to all channels in one frame."""
-        values = np.zeros(self.link.channels)
-        values[self.config.places] = goal if mode == 'tension' else goal + np.nan_to_num(self.zero)
+        values, config = np.zeros(self.link.channels), self.config
+        if mode == 'pull':
+            goal = config.counted * (goal + np.nan_to_num(self.zero))
+        values[config.places] = goal
         self.link.send(Message.COMMAND, messages.command(mode, values))
 
     def _reopen(self) -> bool:
@@ -173,10 +176,10 @@ class SerialDriver(PortDriver):
 
     def _pulls(self) -> Floats:
         """Return wire pulls from the zero, shape (m,) [m]; nan where the encoder has a fault."""
-        pulls: Floats = self._channels('pulls', ChannelFault.ENCODER) - np.nan_to_num(self.zero)
+        pulls: Floats = self._board_pulls(ChannelFault.ENCODER) - np.nan_to_num(self.zero)
         return pulls
 
-    def _channels(self, name: str, fault: ChannelFault) -> Floats:
+    def _channels(self, name: str, fault: int) -> Floats:
         """Return a value of the telemetry, shape (m,); nan where a channel has the fault."""
         if self.telemetry is None:
             return np.full(len(self.inputs), np.nan)
@@ -268,9 +271,8 @@ class SerialDriver(PortDriver):
         self._read_at = time.monotonic()
 
     def _zero_in_place(self) -> None:
-        if self.config.zero == 'here' and self.telemetry is not None:
-            measured = self.telemetry.pulls[self.config.places]
-            self.zero = np.where(np.isfinite(self.zero), self.zero, measured)
+        if self.config.zero == 'here':
+            self.zero = np.where(np.isfinite(self.zero), self.zero, self._board_pulls())
 
     def _find_slack(self) -> None:
         """
@@ -334,11 +336,10 @@ class SerialDriver(PortDriver):
             raise MovedError(f'no pull zero found: {error}') from None
         return self._board_pulls()
 
-    def _board_pulls(self) -> Floats:
-        """Return the wire pulls from the board's zero, shape (m,) [m]."""
-        if self.telemetry is None:
-            raise DriverError(f'{self.config.port}: no telemetry; check cable and supply')
-        return np.array(self.telemetry.pulls[self.config.places], dtype=float)
+    def _board_pulls(self, fault: int = 0) -> Floats:
+        """Return the wire pulls from the board's zero, (m,) [m]; nan where there is the fault."""
+        pulls: Floats = self._channels('pulls', fault) / self.config.counted
+        return pulls
 
     def _refuse_too_far(self, which: Bools) -> None:
         """Raise DriverError for inputs (m,) whose search for slack has gone too far."""

@@ -204,7 +204,7 @@ class BoardLink(PortLink):
 
         """
         for wire, zero in zip(config.tendons, zeros, strict=True):
-            low, high = (limit + zero for limit in pulls or wire.pull_limits)
+            low, high = (wire.counted * (limit + zero) for limit in pulls or wire.pull_limits)
             values = (0.0, wire.tension_limit, low, high, config.tension_rate, config.pull_rate)
             self.ask(Message.LIMITS, messages.limits(wire.channel, np.array(values)))
 
