@@ -287,7 +287,9 @@ class PortDriver(HardwareDriver):
         self._require_open('read')
         now = time.monotonic()
         try:
-            if self.link.connected or (self._may_retry(now) and self._reopen()):
+            if not self.link.connected and self._may_retry(now) and self.link.reopen():
+                self._reopened()
+            if self.link.connected:
                 self._converse(now)
             else:
                 self._forget_readings()
@@ -304,10 +306,6 @@ class PortDriver(HardwareDriver):
             return False
         self._retried = now
         return True
-
-    def _reopen(self) -> bool:
-        """Reopen the lost port; return whether that worked."""
-        return self.link.reopen()
 
     def _start_from_measured(self, which: Bools | None = None) -> None:
         """
@@ -353,6 +351,10 @@ class PortDriver(HardwareDriver):
     @abstractmethod
     def _send(self) -> None:
         """Send the goal to the motors that are on."""
+
+    @abstractmethod
+    def _reopened(self) -> None:
+        """Begin the conversation with the motors behind a port that was lost."""
 
     @abstractmethod
     def _converse(self, now: float) -> None:

@@ -204,11 +204,9 @@ class DynamixelDriver(PortDriver):
     def _limits_reduced(self) -> bool:
         return any(motor.reduced_limit is not None for motor in self.motors.values())
 
-    def _reopen(self) -> bool:
-        reopened = super()._reopen()
-        if reopened:  # all motors were lost with the port, and are pinged at once
-            self._retried, self._lost = -np.inf, list(self.motors.values())
-        return reopened
+    def _reopened(self) -> None:
+        # all motors were lost with the port, and are pinged at once
+        self._retried, self._lost = -np.inf, list(self.motors.values())
 
     def _forget_readings(self) -> None:
         for motor in self.motors.values():

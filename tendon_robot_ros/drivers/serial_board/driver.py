@@ -153,12 +153,9 @@ class SerialDriver(PortDriver):
         values[config.places] = goal
         self.link.send(Message.COMMAND, messages.command(mode, values))
 
-    def _reopen(self) -> bool:
-        reopened = super()._reopen()
-        if reopened:
-            self.link.send(Message.HEARTBEAT)
-            self._received_at = self.link.clock()
-        return reopened
+    def _reopened(self) -> None:
+        self.link.send(Message.HEARTBEAT)
+        self._received_at = self.link.clock()
 
     def _forget_readings(self) -> None:
         self.telemetry = None
