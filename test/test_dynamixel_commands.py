@@ -7,6 +7,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import emulated
+import emulated_board
 import numpy as np
 import processes
 import pytest
@@ -17,7 +18,7 @@ from tendon_robot_ros.common.errors import DriverError, InputError
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel import motions
 from tendon_robot_ros.drivers.dynamixel.config import CurrentPoint, fit_current, read_config
-from tendon_robot_ros.emulator.bus import HELP
+from tendon_robot_ros.emulator import board, bus
 from tendon_robot_ros.emulator.rig import HangingWeights
 
 pytest.importorskip('dynamixel_sdk')
@@ -30,21 +31,23 @@ def robot_file(tmp_path):
     return str(path)
 
 
-def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(robot_file):
-    with emulated.ForkedEmulator(robot_file, '--arm', 'springs') as emulator:
+KINDS = ['dynamixel', pytest.param('serial', marks=emulated_board.needs_compiler)]
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(kind, robot_file):
+    emulating = emulated.ForkedEmulator(robot_file, '--arm', 'springs', kind=kind)
+    with emulating as emulator:
         content = emulator.content()
         assert content['port'] == emulator.port
-        with make_driver('dynamixel', emulated.robot(), content, source='servos.yaml') as driver:
+        with make_driver(kind, emulated.robot(), content, source='servos.yaml') as driver:
             driver.enable()
             command = [1.5, 0.2, 0.2, 0.2]
             emulated.cycle(driver, command, 1.0)
-            state = emulator.ask('state')
-            assert state['servos']['1']['torque_enable'] == 1
-            assert state['tensions'][0] > 0.5
-            assert emulator.say('silent 2') == 'ok'
+            assert emulator.ask('state')['tensions'][0] > 0.4
+            assert emulator.say('silent 2' if kind == 'dynamixel' else 'overheating 1') == 'ok'
             alone = [('north',)]  # a busy machine makes others late, too, for a moment
             emulated.until(driver, command, lambda r: [f.inputs for f in r.faults] == alone)
-        assert {name for _, _, name, _ in emulator.ask('log 9')} >= {'goal_current'}
         emulator.say('quit')
         assert emulator.process.wait(60) == 0
 
@@ -79,31 +82,39 @@ def test_emulate_ends_on_a_signal_and_takes_its_port_away(tmp_path, robot_file, 
     assert not (tmp_path / 'port').is_symlink()
 
 
-def test_every_word_of_the_emulators_help_is_known():
-    words = {'hear': '1', 'hot': '1 50', 'volts': '5', 'slow': '0', 'unplug': '0.01'}
-    listed = [
-        part.strip().split()[0]
-        for row in HELP.splitlines()[:-1]
-        for part in row.split('  ')[0].replace('|', ',').split(',')
-    ]
-    with emulated.line(arm=HangingWeights(np.zeros(4))) as line:
+# words of the help that need other values than one 0 or 1
+NOTHING = dict.fromkeys(('spoil', 'cut', 'double', 'slow'), '0') | {'state': '', 'plug': ''}
+SERVO_WORDS = {**NOTHING, 'unplug': '0.01', 'hot': '1 50', 'volts': '5', 'weight': '1 0.1'}
+BOARD_WORDS = {**NOTHING, 'unplug': '0.01', 'overload': '1 0', 'weight': '1 0'}
+EMULATED = {
+    'dynamixel': (lambda: emulated.line(arm=HangingWeights(np.zeros(4))), bus, SERVO_WORDS),
+    'serial': (emulated_board.board, board, BOARD_WORDS),
+}
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_every_word_of_the_emulators_help_is_known(kind):
+    make, module, values = EMULATED[kind]
+    rows = [row.split('  ')[0].replace('|', ',') for row in module.HELP.splitlines()[:-1]]
+    listed = [part.split()[0] for row in rows for part in row.split(',')]
+    assert len(listed) > 15
+    with make() as line:
         for word in listed:
-            values = {
-                'weight': '1 0.1',
-                'spoil': '0',
-                'cut': '0',
-                'double': '0',
-                'state': '',
-                'plug': '',
-                **words,
-            }.get(word, '1')
-            assert line.obey(f'{word} {values}')
+            assert line.obey(f'{word} {values.get(word, "1")}')
 
 
-@pytest.mark.parametrize('text', ['jump', 'silent 9', 'hot 1', 'slow fast', 'weight 1 0.1'])
-def test_a_wrong_word_for_the_emulator_is_refused(text):
-    with emulated.line() as line, pytest.raises(InputError, match='type help'):
-        line.obey(text)
+WRONG_WORDS = {
+    'dynamixel': ('jump', 'silent 9', 'hot 1', 'slow fast', 'weight 1 0.1'),
+    'serial': ('jump', 'cell 9', 'weight 1', 'slow fast'),
+}
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_a_wrong_word_for_the_emulator_is_refused(kind):
+    with emulated.line() if kind == 'dynamixel' else emulated_board.board() as line:
+        for text in WRONG_WORDS[kind]:
+            with pytest.raises(InputError, match='type help'):
+                line.obey(text)
 
 
 MASSES = (0.5, 1.0, 2.0, 4.0)  # [kg]

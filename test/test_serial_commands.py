@@ -11,10 +11,8 @@ from emulated_board import needs_compiler
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import DriverError, InputError
-from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.serial_board.config import CountsPoint, fit_counts, read_config
 from tendon_robot_ros.drivers.serial_board.link import BoardLink
-from tendon_robot_ros.emulator.board import HELP
 from tendon_robot_ros.robot import load_robot
 
 pytest.importorskip('serial')
@@ -25,41 +23,6 @@ def robot_file(tmp_path):
     path = tmp_path / 'four.yaml'
     path.write_text(emulated.ROBOT)
     return str(path)
-
-
-@needs_compiler
-def test_emulate_prints_a_port_that_the_driver_opens_and_obeys_its_input(robot_file):
-    with emulated.ForkedEmulator(robot_file, '--arm', 'springs', kind='serial') as emulator:
-        content = emulator.content()
-        assert content['port'] == emulator.port
-        with make_driver('serial', emulated.robot(), content, source='board.yaml') as driver:
-            driver.enable()
-            emulated.cycle(driver, [1.5, 0.2, 0.2, 0.2], 1.0)
-            state = emulator.ask('state')
-            assert state['enabled'] == [True] * 4
-            assert state['tensions'][0] > 0.4
-            assert emulator.say('overheating 1') == 'ok'
-            reading = emulated.until(driver, [1.5, 0.2, 0.2, 0.2], lambda r: r.faults)
-            assert reading.faults[0].inputs == ('north',)
-        emulator.say('quit')
-        assert emulator.process.wait(60) == 0
-
-
-@needs_compiler
-def test_every_word_of_the_emulators_help_is_known_and_others_are_refused():
-    values = {'overload': '1 0', 'weight': '1 0', 'unplug': '0.01', 'state': ''}
-    listed = [
-        part.strip().split()[0]
-        for row in HELP.splitlines()[:-1]
-        for part in row.split('   ')[0].split('|')
-    ]
-    assert len(listed) > 15
-    with emulated_board.board() as line:
-        for word in listed:
-            assert line.obey(f'{word} {values.get(word, "0")}')
-        for wrong in ('jump', 'cell 9', 'weight 1', 'slow fast'):
-            with pytest.raises(InputError, match='type help'):
-                line.obey(wrong)
 
 
 @needs_compiler

@@ -161,12 +161,12 @@ def test_silence_releases_to_pretension_and_commands_are_followed_again_when_it_
     assert decision.command == pytest.approx([3.0, 1.0])
 
 
-def test_a_release_changes_tension_no_faster_than_the_release_rate():
+@pytest.mark.parametrize('faults', [(), (Fault('overload', 'overload', True, ('right',)),)])
+def test_silence_or_an_error_of_a_motor_releases_the_others_at_the_release_rate(faults):
     supervisor = started(first=reading((4.0, 2.0)))
-    decision, now = run(supervisor, 0.0, 0.105)
-    before = decision.command
-    decision, _ = run(supervisor, now, 0.1)
-    assert before[0] - decision.command[0] == pytest.approx(RELEASE * 0.1)
+    before, now = run(supervisor, 0.0, 0.105, state=reading((4.0, 2.0), faults=faults))
+    decision, _ = run(supervisor, now, 0.1, state=reading((4.0, 2.0), faults=faults))
+    assert before.command[0] - decision.command[0] == pytest.approx(RELEASE * 0.1)
 
 
 @pytest.mark.parametrize('high', [0.5, 2.0, HIGH])
@@ -182,13 +182,6 @@ def test_a_stop_lets_go_of_any_tension_in_its_time_and_begins_with_the_next_cycl
     assert steps.min() == pytest.approx(steps[0].min())  # a ramp, and no steeper than it must be
     assert decision.command == pytest.approx([LOW, LOW])
     assert decision.state == 'released'
-
-
-def test_an_error_of_a_motor_releases_the_others_slowly():
-    broken = Fault('overload', 'right: overload', True, ('right',))
-    supervisor = started(first=reading((4.0, 2.0)))
-    decision, _ = run(supervisor, 0.0, 0.1, state=reading((4.0, 2.0), faults=(broken,)))
-    assert decision.command[0] == pytest.approx(4.0 - 0.1 * RELEASE)
 
 
 def test_a_sender_that_ends_lets_go_until_it_is_resumed():
