@@ -6,10 +6,8 @@ The reference firmware is compiled for this computer, so that the driver talks t
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import functools
-import hashlib
 import math
 import os
 import shutil
@@ -22,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from ..common.errors import DriverError, TendonRobotError
-from ..common.files import new_file, shared_file
+from ..common.errors import DriverError
+from ..common.files import shared_file
 from ..common.words import STANDARD_GRAVITY
 from ..drivers.serial_board.messages import ChannelFault, Protocol
 from ..drivers.serial_port import ANSWER_TIMEOUT_S
@@ -53,17 +51,10 @@ def compiler() -> str | None:
     return next((path for name in names if name and (path := shutil.which(name))), None)
 
 
-def compile_firmware(output: Path, channels: int) -> None:
+@functools.cache
+def compiled_firmware(channels: int) -> bytes:
     """
-    Compile the firmware for this computer, once for every version of its sources.
-
-    It is kept in the user's cache, where there can be one.
-
-    Parameters
-    ----------
-    output : Path
-        The library to make.
-    channels : int
+    Compile the firmware of a board with so many channels; return the library for this computer.
 
     Raises
     ------
@@ -74,26 +65,17 @@ def compile_firmware(output: Path, channels: int) -> None:
     found = shared_file(f'firmware/{SOURCES[0]}')
     if found is None:
         raise DriverError('the folder firmware is missing; install the package again')
-    source = found.parent
-    files = sorted(source.glob('*.[ch]'))
-    digest = hashlib.sha256(b''.join(file.read_bytes() for file in files)).hexdigest()[:16]
-    cache = Path(os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache'))
-    cached = cache / 'tendon_robot_ros' / f'board-{digest}-{channels}.so'
-    if cached.is_file():
-        shutil.copyfile(cached, output)
-        return
-    cc = compiler()
+    source, cc = found.parent, compiler()
     if cc is None:
         raise DriverError('no C compiler for the emulated board; type: sudo apt install gcc')
-    command = [cc, '-std=c99', '-O2', '-fPIC', '-shared', f'-DCHANNELS={channels}']
-    command += [str(source / part) for part in SOURCES] + ['-o', str(output)]
-    run = subprocess.run(command, capture_output=True, text=True)
-    if run.returncode:
-        raise DriverError(f'{source}: {cc}: {(run.stderr.splitlines() or ["failed"])[0]}')
-    with contextlib.suppress(OSError, TendonRobotError):  # no home, or nothing may be written
-        cached.parent.mkdir(parents=True, exist_ok=True)
-        with new_file(cached) as draft:
-            shutil.copyfile(output, draft)
+    with tempfile.TemporaryDirectory(prefix='tendon_robot_ros_') as folder:
+        output = Path(folder, 'board.so')
+        command = [cc, '-std=c99', '-O2', '-fPIC', '-shared', f'-DCHANNELS={channels}']
+        command += [str(source / part) for part in SOURCES] + ['-o', str(output)]
+        run = subprocess.run(command, capture_output=True, text=True)
+        if run.returncode:
+            raise DriverError(f'{source}: {cc}: {(run.stderr.splitlines() or ["failed"])[0]}')
+        return output.read_bytes()
 
 
 class Firmware:
@@ -115,7 +97,8 @@ class Firmware:
         self.channels = channels
         # a library of its own: the board's memory is that of the library
         with tempfile.TemporaryDirectory(prefix='tendon_robot_ros_') as folder:
-            compile_firmware(own := Path(folder, 'board.so'), channels)
+            own = Path(folder, 'board.so')
+            own.write_bytes(compiled_firmware(channels))
             self._library = ctypes.CDLL(str(own))
         pointer = ctypes.c_void_p
         self._library.host_step.argtypes = pointer, ctypes.c_uint32, pointer, pointer
