@@ -111,7 +111,7 @@ def test_it_says_what_it_drives(closed):
 
 
 def test_reading_before_opening_is_refused(closed):
-    with pytest.raises(DriverError, match=r'not open|closed'):
+    with pytest.raises(DriverError, match=r'call open\(\) first'):
         closed.read()
 
 
@@ -158,7 +158,7 @@ def test_a_command_that_is_not_finite_or_of_the_wrong_shape_is_refused(driver):
     for spoilt in (np.nan, np.inf, -np.inf):
         command = middle(driver)
         command[1] = spoilt
-        with pytest.raises(DriverError, match=driver.inputs[1]):
+        with pytest.raises(DriverError, match=f'nan or inf for {driver.inputs[1]}'):
             driver.write(command)
     for shape in ((1,), (5,), (2, 2), ()):
         with pytest.raises(DriverError, match=str(len(driver.inputs))):

@@ -171,14 +171,9 @@ def test_a_wrong_configuration_is_refused(config, message):
         make_driver('mock', ROBOT, config, source='mock.yaml', plant=Spring())
 
 
-def test_faults_and_commands_that_do_not_exist_are_refused():
+def test_faults_and_inputs_that_do_not_exist_are_refused():
     driver, _ = mock()
     with pytest.raises(DriverError, match='expected one of silent, port'):
         driver.inject('gremlin')
     with pytest.raises(DriverError, match='expected inputs of left, right'):
         driver.inject('silent', ['middle'])
-    with pytest.raises(DriverError, match='nan or inf for right'):
-        driver.write(np.array([1.0, np.nan]))
-    driver.close()
-    with pytest.raises(DriverError, match=r'call open\(\) first'):
-        driver.read()

@@ -1,6 +1,5 @@
 """Every fault of board and port at the serial driver: what it says, how it recovers."""
 
-import sys
 import time
 
 import emulated
@@ -234,20 +233,6 @@ def test_a_new_process_finds_an_arm_under_tension_and_lets_it_go_slowly(arm):
     assert enabled(line) == [False] * 4
     processes.until(lambda: np.max(line.rig.tensions) < 0.5)  # on its way down
     other.close()
-
-
-def test_a_second_process_is_kept_off_the_port(arm):
-    driver, line, command = arm
-    code = (
-        'import sys; from tendon_robot_ros.drivers.serial_board.link import BoardLink\n'
-        'BoardLink(sys.argv[1], 1000000).open()'
-    )
-    run = processes.run(
-        [sys.executable, '-c', code, line.port],
-        env=emulated.environment(),
-    )
-    assert f'{line.port}: another process has the port (process ' in run.stderr
-    until(driver, command, healthy)
 
 
 def test_no_tension_ever_passed_its_limit(arm):
