@@ -144,13 +144,12 @@ def case(robot, full, seed, level, references, frames, where='tip', lacks=None):
 def bound(observer, tensions, force):
     """Return the least 1 sd [N] along the axes, best told first, of one frame and a known arm."""
     inputs, step = np.maximum(tensions, 0.0)[None], observer.step
-    here = observer.predicted(force, inputs, True, observer.tip)
-    if here is None:
-        return np.full(3, np.nan)
-    columns = [
-        observer.predicted(force + step * axis, inputs, True, observer.tip) for axis in np.eye(3)
-    ]
-    if any(column is None for column in columns):
+    try:
+        here, *columns = (
+            observer.predicted(force + step * axis, inputs, True, observer.tip)
+            for axis in np.eye(4, 3, -1)
+        )
+    except NoEquilibriumError:
         return np.full(3, np.nan)
     slopes = np.array([column - here for column in columns]).T / step
     return NOISE_M / np.linalg.svd(slopes)[1]

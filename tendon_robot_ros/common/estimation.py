@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 
 from .arrays import Floats
+from .errors import NoEquilibriumError
 
 # [1] iterations of a search; one that takes more goes to and fro, or is held up by a region or a
 # kink of friction, and would never end
@@ -57,13 +59,13 @@ def kalman_update(
     return KalmanUpdate(mean + gain.T @ white, 0.5 * (after + after.T), chi2, log_likelihood)
 
 
-def gauss_newton[Residual](
+def gauss_newton(
     start: Floats,
     information: Floats,
-    residual_of: Callable[[Floats], tuple[Residual, float] | None],
-    linearised: Callable[[Floats, Residual], tuple[Floats, Floats] | None],
+    residual_of: Callable[[Floats], Floats],
+    columns_of: Callable[[Floats, Floats], Floats],
     bounds: tuple[Floats | float, Floats | float] = (-np.inf, np.inf),
-) -> tuple[Floats, Residual, float, Floats] | None:
+) -> tuple[Floats, Floats, Floats]:
     """
     Return the likeliest values of a model with a Gaussian prior around 0.
 
@@ -76,37 +78,37 @@ def gauss_newton[Residual](
     information : (k, k)
         Inverse covariance of the prior.
     residual_of : callable
-        From values to the residual of the measurements and its chi²; None where the model has no
-        prediction.
-    linearised : callable
-        From values and their residual to J' V^-1 J (k, k) and J' V^-1 r (k,).
+        From values to the whitened residual (r,) of the measurements; raises NoEquilibriumError.
+    columns_of : callable
+        From values and their residual to the whitened Jacobian (r, k) of the measurements.
     bounds : (k,) and (k,)
         Of the values.
 
     Returns
     -------
-    values, their residual, its chi², and J' V^-1 J (k, k) at these values; None where the
-    model has no prediction.
+    values, their residual, and the Jacobian at these values or before the last step
+
+    Raises
+    ------
+    NoEquilibriumError
+        The model has no prediction at the start, or no Jacobian on the path.
 
     """
-    values, residual = start, residual_of(start)
-    measured = np.zeros_like(information)
+    values, white = start, residual_of(start)
     for _ in range(ITERATIONS_MAX):
-        slopes = None if residual is None else linearised(values, residual[0])
-        if residual is None or slopes is None:
-            return None
-        measured, gradient = slopes
-        step = np.linalg.solve(measured + information, gradient - information @ values)
-        if step @ (measured + information) @ step < CONVERGED_SD**2:
+        columns = columns_of(values, white)
+        normal = columns.T @ columns + information
+        step = np.linalg.solve(normal, columns.T @ white - information @ values)
+        if step @ normal @ step < CONVERGED_SD**2:
             break
-        cost = residual[1] + values @ information @ values
+        cost = white @ white + values @ information @ values
         for length in STEP_LENGTHS:
             place = np.clip(values + length * step, *bounds)
-            candidate = residual_of(place)
-            if candidate is not None and candidate[1] + place @ information @ place < cost:
-                values, residual = place, candidate
-                break
+            with suppress(NoEquilibriumError):
+                candidate = residual_of(place)
+                if candidate @ candidate + place @ information @ place < cost:
+                    values, white = place, candidate
+                    break
         else:
             break
-    assert residual is not None
-    return values, *residual, measured
+    return values, white, columns

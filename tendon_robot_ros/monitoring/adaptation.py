@@ -36,6 +36,7 @@ import numpy as np
 from scipy.special import softmax
 
 from ..common.arrays import Floats
+from ..common.errors import NoEquilibriumError
 from ..common.estimation import KalmanUpdate, kalman_update
 from ..common.words import listed, with_unit
 from ..data import Marker
@@ -378,13 +379,13 @@ class Adaptation:
         """Update the estimate by a posture; return False where the model has no equilibrium."""
         measured, arm = positions.ravel(), self._arm
         point = {one.free: value for one, value, _ in self._values()}
-        rows = np.isfinite(measured)
-        expected = arm.expected(tensions, point)
-        if expected is None or not rows.any():
+        frees, rows = [one.free for one in self._adaptable], np.isfinite(measured)
+        if not rows.any():
             return False
-        frees = [one.free for one in self._adaptable]
-        moved = slopes(arm.whole, point, frees, np.maximum(tensions, 0.0)[None])
-        if moved is None:
+        try:
+            expected = arm.expected(tensions, point)
+            moved = slopes(arm.whole, point, frees, np.maximum(tensions, 0.0)[None])
+        except NoEquilibriumError:
             return False
         own = moved[0] * [one.spread for one in self._adaptable]
         columns = np.hstack([own, expected.columns[:, : arm.built] @ arm.prior])[rows]

@@ -23,6 +23,7 @@ in sequence (batch means), and widened by the ratio. Tip force and drift alarm u
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import product
@@ -30,6 +31,7 @@ from itertools import product
 import numpy as np
 
 from ..common.arrays import Bools, Floats
+from ..common.errors import NoEquilibriumError
 from ..common.estimation import kalman_update
 from ..data import DataSet, Marker
 from ..effects import Catalogue, Effect
@@ -62,6 +64,13 @@ class Expected:
 
 
 _Linear = tuple[Expected, Floats]  # without imperfections, and the measured (3 J,) [m]
+
+
+def solved[T](prediction: T | None) -> T:
+    """Return a prediction of the model; raise NoEquilibriumError where it has none."""
+    if prediction is None:
+        raise NoEquilibriumError('this posture', (), np.inf)
+    return prediction
 
 
 class BuiltArm:
@@ -155,15 +164,11 @@ class BuiltArm:
         own = np.split((self.mean * self.plausible)[: self.built], ends)
         return {kind.name: values for kind, values in zip(self.kinds, own, strict=True)}
 
-    def expected(self, tensions: Floats, point: Point | None = None) -> Expected | None:
-        """Return the prediction under tensions (m,) [N], None without equilibrium."""
+    def expected(self, tensions: Floats, point: Point | None = None) -> Expected:
+        """Return the prediction under tensions (m,) [N]; raise NoEquilibriumError without one."""
         inputs = np.maximum(tensions, SLACK_N)[None]
         shapes = self.shapes(inputs, point or {})
-        if shapes is None:
-            return None
         beside, columns = self._beside(inputs), self.columns(inputs, point or {})
-        if columns is None:
-            return None
         markers = self.split.see(shapes).ravel()
         bent = self._bent(inputs, markers, columns, beside)
         return Expected(markers + self.lacked(columns), np.hstack([columns, bent]))
@@ -211,11 +216,11 @@ class BuiltArm:
 
     def shapes(
         self, inputs: Floats, point: Point, near: SettledShapes | None = None
-    ) -> ShapeBatch | None:
+    ) -> ShapeBatch:
         """Return shapes under tensions (1, m) [N] with the estimated imperfections."""
         self.split.around = self.members
         ((_, shapes),) = self.split.settle(point, self.split.given(inputs), near=near)
-        return shapes
+        return solved(shapes)
 
     def forget(self) -> None:
         """Reset the imperfections to their prior."""
@@ -297,9 +302,13 @@ class BuiltArm:
         for _ in range(2):  # at the last estimate: errors of linearisation look like noise
             base = list[_Linear | None]()
             for inputs, measured in zip(tensions, positions, strict=True):
-                if (e := self.expected(inputs)) is not None:
-                    e = replace(e, markers=e.markers - self.moves(e.columns))
-                base.append(None if e is None else (e, measured.ravel()))
+                try:
+                    e = self.expected(inputs)
+                except NoEquilibriumError:
+                    base.append(None)
+                    continue
+                e = replace(e, markers=e.markers - self.moves(e.columns))
+                base.append((e, measured.ravel()))
             counted = [one for one, c in zip(base, counts, strict=True) if c and one is not None]
             self._vary(counted, frames)
             self.forget()
@@ -350,8 +359,8 @@ class BuiltArm:
         scores = list[tuple[Floats, Floats]]()
         self.forget()
         for inputs, measured in zip(tensions, positions, strict=True):
-            expected = self.expected(inputs)
-            if expected is not None:
+            with suppress(NoEquilibriumError):
+                expected = self.expected(inputs)
                 scores.append(self.score(expected, measured.ravel(), frames))
                 self.learn(expected, measured.ravel(), frames)
         return scores
@@ -364,21 +373,16 @@ class BuiltArm:
         weighted = np.linalg.solve(columns @ self.covariance @ columns.T + scatter, columns)
         return weighted.T @ off, columns.T @ weighted
 
-    def columns(self, inputs: Floats, point: Point) -> Floats | None:
+    def columns(self, inputs: Floats, point: Point) -> Floats:
         """Return the motion of the markers (3 J, q + n) [m] by states of plausible size."""
         self.split.inputs = inputs
-        moved = self.moved(self.split, point)
-        return None if moved is None else moved[0]
+        moved: Floats = self.moved(self.split, point)[0]
+        return moved
 
-    def moved(self, split: imperfections.SplitPredictor, point: Point) -> Floats | None:
+    def moved(self, split: imperfections.SplitPredictor, point: Point) -> Floats:
         """Return the motion of the markers (P, 3 J, q + n) [m] by states of plausible size."""
-        responses = imperfections.imperfections(split, point, self.members, changed=True)
-        if responses is None:
-            return None
-        steps = differences(split, point, self.frees, (DIFFERENCE_STEP, 0.5, 1.0))
-        if steps is None:
-            return None
-        slope, half, whole = steps
+        responses = solved(imperfections.imperfections(split, point, self.members, changed=True))
+        slope, half, whole = differences(split, point, self.frees, (DIFFERENCE_STEP, 0.5, 1.0))
         built = responses.moves[: self.built].reshape(self.built, *slope.shape[1:])
         left = 0.5 * (half - slope) - 0.25 * (whole - slope)
         moves = np.concatenate([built, slope, whole - slope, left])
@@ -391,14 +395,11 @@ def slopes(
     point: Point,
     frees: Sequence[FreeParameter],
     inputs: Floats | None = None,
-) -> Floats | None:
-    """Return the Jacobian (P, 3 J, k) of the markers by parameters; None: no equilibrium."""
-    if predictor.markers(point, inputs) is None or predictor.settled is None:
-        return None
-    tangent = predictor.tangent(point, frees, predictor.settled)
-    if tangent is None:
-        return None
-    return np.moveaxis(tangent.markers.reshape(*tangent.markers.shape[:2], -1), 0, 2)
+) -> Floats:
+    """Return the Jacobian (P, 3 J, k) of the markers by parameters."""
+    solved(predictor.markers(point, inputs))
+    moves = solved(predictor.tangent(point, frees, solved(predictor.settled))).markers
+    return np.moveaxis(moves.reshape(*moves.shape[:2], -1), 0, 2)
 
 
 def differences(
@@ -406,13 +407,11 @@ def differences(
     point: Point,
     frees: Sequence[FreeParameter],
     parts: Sequence[float] = (DIFFERENCE_STEP,),
-) -> Floats | None:
+) -> Floats:
     """Return the motion of the markers (n, k, P, 3 J) per unit, by n parts of typical values."""
     P, J = len(predictor.inputs), len(predictor.dataset.markers)
     moves = np.zeros((len(parts), len(frees), P, 3 * J))
-    base = predictor.markers(point) if frees else np.zeros(0)
-    if base is None:
-        return None
+    base = solved(predictor.markers(point)) if frees else np.zeros(0)
     for (i, part), (k, free) in product(enumerate(parts), enumerate(frees)):
         value, own = point.get(free, predictor.value(free)), free.parameter
         step = part * own.typical

@@ -20,6 +20,7 @@ uncertainty.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -27,6 +28,7 @@ import numpy as np
 from scipy.special import softmax
 
 from ..common.arrays import Bools, Floats
+from ..common.errors import NoEquilibriumError
 from ..common.estimation import gauss_newton
 from ..common.words import digits, mm, spoken, with_unit
 from ..inference.imperfections import GAIN, Kind, SplitPredictor
@@ -36,7 +38,7 @@ from ..inference.outliers import TRIALS_MIN
 from ..inference.predict import CELLS, FreeParameter, Point, Predictor, free_parameters
 from ..inference.statistics import RARE, SIGNIFICANCE, TIE_SCORE, chi2_sf
 from ..report.sentences import load_words
-from .built_arm import FRAME, ODD_PROBABILITY, BuiltArm, moving_effects, slopes
+from .built_arm import FRAME, ODD_PROBABILITY, BuiltArm, moving_effects, slopes, solved
 
 TRACKER = 'the tracker'  # a bumped one is a misaligned base
 SHIFT = 'shift'  # prefix of the keys of a translation; the others are a rotation
@@ -66,6 +68,11 @@ class PossibleChange:
     def is_effect(self) -> bool:
         """Whether the model has parameters for it."""
         return bool(self.frees)
+
+    @property
+    def information(self) -> Floats:
+        """Information (k, k) of the widest prior of its values."""
+        return np.diag((SCALES[-1] * self.spread) ** -2.0)
 
     def suspect(self, probability: float, values: Floats) -> Suspect:
         """Return the change with a probability and values (k,) [its units]."""
@@ -192,12 +199,10 @@ class ChangeWork:
         self.split = SplitPredictor(Predictor(dataset, arm.robot, arm.catalogue))
         self.split.around, self.lacked = arm.members, np.zeros((P, 3 * J))
         expected = self._markers({})
-        columns = arm.moved(self.split, {}) if expected is not None else None
-        self.ready = columns is not None
-        if expected is not None and columns is not None:
-            self.lacked = arm.lacked(columns)
-            self.expected, self.columns = expected + self.lacked, columns
-            self.weights = _Weights(arm, self.rows, frames, columns)
+        self.columns = arm.moved(self.split, {})
+        self.lacked = arm.lacked(self.columns)
+        self.expected = expected + self.lacked
+        self.weights = _Weights(arm, self.rows, frames, self.columns)
 
     def fit(self, change: PossibleChange) -> ChangeFit | None:
         """Fit one change, with the imperfections linearised without a change."""
@@ -205,12 +210,12 @@ class ChangeWork:
 
     def fit_around(self, fit: ChangeFit) -> ChangeFit | None:
         """Refit an effect, with the imperfections linearised at its value."""
-        columns = self.arm.moved(self.split, self._point(fit.change, fit.values))
-        if columns is None:
-            return None
-        there = copy(self)
-        there.weights = _Weights(self.arm, self.rows, self.frames, columns)
-        return there._effect(fit.change, fit.values)
+        with suppress(NoEquilibriumError):
+            columns = self.arm.moved(self.split, self._point(fit.change, fit.values))
+            there = copy(self)
+            there.weights = _Weights(self.arm, self.rows, self.frames, columns)
+            return there._effect(fit.change, fit.values)
+        return None
 
     def explains(self, fit: ChangeFit) -> bool:
         """Whether the residuals of a change may be chance."""
@@ -227,14 +232,13 @@ class ChangeWork:
         fits = [self._effect(fit.change, start) for start in starts]
         return max([fit, *(one for one in fits if one is not None)], key=lambda one: one.log)
 
-    def predicted(self, fit: ChangeFit) -> tuple[Floats, Floats] | None:
+    def predicted(self, fit: ChangeFit) -> tuple[Floats, Floats]:
         """Return markers (P, 3 J) [m] under a change, and their slopes (P, 3 J, k)."""
         if not fit.change.is_effect:
             moved = self._slopes_of_members(fit.change)
             return self.expected + moved @ fit.values, moved
         point = self._point(fit.change, fit.values)
-        markers, jacobian = self._markers(point), slopes(self.split, point, fit.change.frees)
-        return None if markers is None or jacobian is None else (markers, jacobian)
+        return self._markers(point), slopes(self.split, point, fit.change.frees)
 
     def apart(
         self, one: tuple[Floats, Floats], other: tuple[Floats, Floats], information: Floats
@@ -254,61 +258,47 @@ class ChangeWork:
         """Fit changed imperfections (linear)."""
         white = self.weights.white(self.positions - self.expected)
         columns = self.weights.white(self._slopes_of_members(change))
-        information = columns.T @ columns
-        prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
-        values = np.linalg.solve(information + prior, columns.T @ white)
-        chi2 = float(((white - columns @ values) ** 2).sum())
-        log = self._evidence(change, values, chi2, information)
-        return ChangeFit(change, values, log, information + prior, chi2)
+        normal = columns.T @ columns + change.information
+        values = np.linalg.solve(normal, columns.T @ white)
+        return self._fitted(change, values, white - columns @ values, columns)
 
     def _effect(self, change: PossibleChange, start: Floats | None = None) -> ChangeFit | None:
         """Fit an effect by damped Gauss-Newton within its bounds."""
         frees, weights = change.frees, self.weights
         described = np.array([self.split.value(free) for free in frees])
         low, high = np.array([(f.parameter.low, f.parameter.high) for f in frees]).T - described
-        prior = np.diag((SCALES[-1] * change.spread) ** -2.0)
 
-        def linearised(values: Floats, white: Floats) -> tuple[Floats, Floats] | None:
-            moved = slopes(self.split, self._point(change, values), frees)
-            if moved is None:
-                return None
-            columns = weights.white(moved)
-            return columns.T @ columns, columns.T @ white
+        def residual_of(values: Floats) -> Floats:
+            return weights.white(self.positions - self._markers(self._point(change, values)))
 
-        def whitened(values: Floats) -> tuple[Floats, float] | None:
-            markers = self._markers(self._point(change, values))
-            if markers is None:
-                return None
-            white = weights.white(self.positions - markers)
-            return white, float(white @ white)
+        def columns_of(values: Floats, white: Floats) -> Floats:
+            return weights.white(slopes(self.split, self._point(change, values), frees))
 
         start = np.zeros(len(frees)) if start is None else start
-        fit = gauss_newton(start, prior, whitened, linearised, (low, high))
-        if fit is None:
-            return None
-        values, _, chi2, information = fit
-        log = self._evidence(change, values, chi2, information)
-        return ChangeFit(change, values, log, information + prior, chi2)
+        with suppress(NoEquilibriumError):
+            fit = gauss_newton(start, change.information, residual_of, columns_of, (low, high))
+            return self._fitted(change, *fit)
+        return None
 
-    def _evidence(
-        self, change: PossibleChange, values: Floats, chi2: float, information: Floats
-    ) -> float:
-        """Return log E, averaged over equally likely scales of the change."""
-        logs = []
+    def _fitted(
+        self, change: PossibleChange, values: Floats, white: Floats, columns: Floats
+    ) -> ChangeFit:
+        """Return a fit with its evidence, averaged over equally likely scales of the change."""
+        logs, chi2, information = [], float(white @ white), columns.T @ columns
         for scale in SCALES:
             spread = scale * change.spread
             both = np.eye(len(values)) + information * np.outer(spread, spread)
             cost = float(((values / spread) ** 2).sum()) + float(np.linalg.slogdet(both)[1])
             logs.append(-0.5 * (chi2 + cost + self.weights.log_determinant))
-        return float(np.logaddexp.reduce(logs) - np.log(len(SCALES)))
+        log = float(np.logaddexp.reduce(logs) - np.log(len(SCALES)))
+        return ChangeFit(change, values, log, information + change.information, chi2)
 
     def _point(self, change: PossibleChange, values: Floats) -> Point:
         own = zip(change.frees, values.tolist(), strict=True)
         return {free: self.split.value(free) + value for free, value in own}
 
-    def _markers(self, point: Point) -> Floats | None:
-        markers = self.split.markers(point)
-        return None if markers is None else markers.reshape(self.lacked.shape) + self.lacked
+    def _markers(self, point: Point) -> Floats:
+        return solved(self.split.markers(point)).reshape(self.lacked.shape) + self.lacked
 
     def _slopes_of_members(self, change: PossibleChange) -> Floats:
         """Return the Jacobian of the markers by imperfections (P, 3 J, k), per unit."""
@@ -343,8 +333,9 @@ class ChangeFinder:
         if not self.postures:
             return ()
         tensions, positions, frames = zip(*self.postures, strict=True)
-        work = ChangeWork(self.arm, np.array(tensions), np.array(positions), frames)
-        if not work.ready:
+        try:
+            work = ChangeWork(self.arm, np.array(tensions), np.array(positions), frames)
+        except NoEquilibriumError:
             return ()
         fits = [fit for change in self.changes if (fit := work.fit(change)) is not None]
         if not any(work.explains(fit) for fit in fits):
@@ -370,15 +361,15 @@ class ChangeFinder:
         blank = np.zeros((len(offered), self.arm.split.dataset.positions.shape[2] * 3))
         usual = self.postures[-1][2] if self.postures else 1
         frames = (usual,) * len(offered)
-        work = ChangeWork(self.arm, np.maximum(offered, 0.0), blank, frames)
-        if not work.ready:
+        try:
+            work = ChangeWork(self.arm, np.maximum(offered, 0.0), blank, frames)
+            first = work.predicted(self.fits[likely[0]])
+        except NoEquilibriumError:
             return None
-        predicted = [work.predicted(self.fits[i]) for i in likely]
-        if predicted[0] is None:
-            return None
-        worth, first = np.zeros(len(offered)), predicted[0]
-        for i, other in zip(likely[1:], predicted[1:], strict=True):
-            if other is not None:
+        worth = np.zeros(len(offered))
+        for i in likely[1:]:
+            with suppress(NoEquilibriumError):
+                other = work.predicted(self.fits[i])
                 apart = work.apart(first, other, self.fits[i].information)
                 worth += probabilities[i] * np.log1p(apart)
         best = int(np.argmax(worth))

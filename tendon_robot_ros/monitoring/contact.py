@@ -25,6 +25,7 @@ covariance are those of the posterior, integrated numerically along that axis.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.special import softmax
 
 from ..common.arrays import Bools, Floats
+from ..common.errors import NoEquilibriumError
 from ..common.estimation import CONVERGED_SD, ITERATIONS_MAX, gauss_newton
 from ..inference.imperfections import PLAUSIBLE_SIZES, ZERO, forces_along
 from ..inference.predict import FreeParameter, SettledShapes, free_parameters
@@ -143,9 +145,9 @@ class ContactObserver:
         best, none = None, np.zeros(3)
         # a local minimum leaves a marker elsewhere, as an arm does that was pushed far at once
         for start in (self._last, (none, self.tip), (none, 0.5 * self.tip)):
-            contact = _Fit(self, inputs, measured.ravel(), markers, frames).solve(*start)
-            if contact is not None and (best is None or contact.off < best.off):
-                best = contact
+            with suppress(NoEquilibriumError):
+                contact = _Fit(self, inputs, measured.ravel(), markers, frames).solve(*start)
+                best = contact if best is None or contact.off < best.off else best
             if best is not None and (best.off < SAME_LENGTH * self.tip or not markers):
                 break
         if best is not None:
@@ -158,16 +160,11 @@ class ContactObserver:
         where = {} if self._place is None else {self._place: place}
         return where | dict(zip(self._frees, values, strict=True))
 
-    def predicted(
-        self, force: Floats, inputs: Floats, markers: bool, place: float
-    ) -> Floats | None:
+    def predicted(self, force: Floats, inputs: Floats, markers: bool, place: float) -> Floats:
         """Return markers (3 J,) or wire pulls (m,) [m] under a force (3,) [N] at a place [m]."""
         point, last = self.point(force, place), self.shapes
         near = None if last is None else SettledShapes(last.inputs, last.state)
-        shapes = self.arm.shapes(inputs, point, near)
-        if shapes is None:
-            return None
-        self.shapes = shapes
+        self.shapes = shapes = self.arm.shapes(inputs, point, near)
         return self.arm.split.see(shapes).ravel() if markers else np.array(shapes.pulls[0])
 
     def along(self, force: Floats, place: float, inputs: Floats) -> Floats | None:
@@ -245,15 +242,12 @@ class _Fit:
         self.observer, self.inputs, self.measured = observer, inputs, measured
         self.markers, self.frames, self.rows = markers, frames, np.isfinite(measured)
         self.factor: Floats = np.zeros((0, 0))
-        self.columns: Floats = np.zeros((0, 3))  # (r, 3) [1/N] whitened Jacobian
         self.lacked: Floats = np.zeros(len(measured))  # [m] motion by what is not described
 
-    def solve(self, force: Floats, place: float) -> Contact | None:
-        """Return the contact, None where the model has no equilibrium."""
+    def solve(self, force: Floats, place: float) -> Contact:
+        """Return the contact; raise NoEquilibriumError where the model has no equilibrium."""
         whole, tip = (0.0, self.observer.tip), self.observer.tip
         best = self._at(force, place)
-        if best is None:
-            return None
         usual = chi2_isf(SIGNIFICANCE, max(len(best.white) - 3, 1)) * self.observer.arm.widening
         if best.chi2 > usual or self._acts(best, RARE):
             best, interval = self._searched(best)
@@ -261,7 +255,7 @@ class _Fit:
                 return self._told(best, interval, acts=True)
         if best.place != tip:
             best = self._at(np.zeros(3), tip)
-        return None if best is None else self._told(best, whole, self._is_needed(best))
+        return self._told(best, whole, self._is_needed(best))
 
     def _wider(self, solution: _Solution) -> float:
         """Return the factor on the variances by the residual, and by the references."""
@@ -284,10 +278,14 @@ class _Fit:
         """
         if not self._acts(solution, ODD_PROBABILITY):
             return False
-        pushed, free = self.observer.shapes, self._white(np.zeros(3), solution.place)
-        self.observer.shapes, cost = pushed, self._cost(solution)
+        pushed = self.observer.shapes
+        try:
+            free = self._white(np.zeros(3), solution.place)
+        except NoEquilibriumError:
+            return True
+        self.observer.shapes = pushed
         least = self._wider(solution) * chi2_isf(ODD_PROBABILITY, 3)
-        return free is None or bool(free @ free - cost > least)
+        return bool(free @ free - self._cost(solution) > least)
 
     def _searched(self, best: _Solution) -> tuple[_Solution, tuple[float, float]]:
         """Return the solution at the likeliest place, and the interval of the place [m]."""
@@ -307,8 +305,11 @@ class _Fit:
             present = int(np.argmin(np.abs(places - best.place)))
             if costs[present] < costs[lowest] + TIE_SCORE:
                 break
-            other = self._at(forces[lowest], float(places[lowest]))
-            if other is None or self._cost(other) >= self._cost(best):
+            try:
+                other = self._at(forces[lowest], float(places[lowest]))
+            except NoEquilibriumError:
+                break
+            if self._cost(other) >= self._cost(best):
                 break
             best = other
         return best, interval
@@ -333,38 +334,25 @@ class _Fit:
         inside = solution.force / self.observer.prior(solution.place)
         return float(white @ white + inside @ inside)
 
-    def _at(self, start: Floats, place: float) -> _Solution | None:
-        """Return the likeliest force at a place, None where the model has no equilibrium."""
-        expected = self._predicted(start, place)
-        factor = None if expected is None else self._whitening(start, place, expected)
-        if factor is None:
-            return None
-        self.factor, prior = factor, self.observer.prior(place) ** -2 * np.eye(3)
+    def _at(self, start: Floats, place: float) -> _Solution:
+        """Return the likeliest force at a place."""
+        self.factor = self._whitening(start, place, self._predicted(start, place))
+        step, prior = self.observer.step, self.observer.prior(place) ** -2 * np.eye(3)
 
-        def whitened(force: Floats) -> tuple[Floats, float] | None:
-            white = self._white(force, place)
-            return None if white is None else (white, float(white @ white))
+        def column(force: Floats, white: Floats, axis: Floats) -> Floats:
+            try:
+                return (white - self._white(force + step * axis, place)) / step
+            except NoEquilibriumError:
+                return (self._white(force - step * axis, place) - white) / step
 
-        def linearised(force: Floats, white: Floats) -> tuple[Floats, Floats] | None:
-            """Return information (3, 3) and gradient (3,) by the whitened Jacobian here."""
-            step, columns = self.observer.step, []
-            for axis in np.eye(3):
-                for side in (step, -step):
-                    moved = self._white(force + side * axis, place)
-                    if moved is not None:
-                        columns.append((white - moved) / side)
-                        break
-                else:
-                    return None
-            self.columns = slopes = np.array(columns).T
-            return slopes.T @ slopes, slopes.T @ white
-
-        fit = gauss_newton(start, prior, whitened, linearised)
-        if fit is None or (expected := self._predicted(fit[0], place)) is None:
-            return None
-        force, white, chi2, information = fit
-        normal = information + prior
-        return _Solution(place, force, expected, white, chi2, self.columns, normal)
+        force, white, columns = gauss_newton(
+            start,
+            prior,
+            lambda force: self._white(force, place),
+            lambda force, white: np.array([column(force, white, axis) for axis in np.eye(3)]).T,
+        )
+        expected, normal = self._predicted(force, place), columns.T @ columns + prior
+        return _Solution(place, force, expected, white, float(white @ white), columns, normal)
 
     def _told(self, best: _Solution, interval: tuple[float, float], acts: bool) -> Contact:
         """Return a solution with its doubt."""
@@ -397,14 +385,13 @@ class _Fit:
             places, logs = [], []
             for offset in SPREAD:
                 place = force + offset * sd * worst
-                white = self._white(place, solution.place)
-                if white is None:
-                    continue
-                aside = best @ white
-                residual = white - columns @ (known @ aside)
-                place = place + known @ aside
-                places.append(place)
-                logs.append(-0.5 * (residual @ residual / wider + place @ place / prior**2))
+                with suppress(NoEquilibriumError):
+                    white = self._white(place, solution.place)
+                    aside = best @ white
+                    residual = white - columns @ (known @ aside)
+                    place = place + known @ aside
+                    places.append(place)
+                    logs.append(-0.5 * (residual @ residual / wider + place @ place / prior**2))
             if not places:
                 return force, np.asarray(axes * values @ axes.T)
             weights = softmax(logs)
@@ -416,20 +403,19 @@ class _Fit:
         step = sd * (SPREAD[1] - SPREAD[0]) * worst  # each place stands for all within a step
         return force, around + np.outer(step, step) / 12.0 + (known * values[:2]) @ known.T
 
-    def _predicted(self, force: Floats, place: float) -> Floats | None:
+    def _predicted(self, force: Floats, place: float) -> Floats:
         """Return the prediction under a force at a place."""
         return self.observer.predicted(force, self.inputs, self.markers, place)
 
-    def _white(self, force: Floats, place: float) -> Floats | None:
+    def _white(self, force: Floats, place: float) -> Floats:
         """Return the whitened residual under a force at a place."""
-        expected = self._predicted(force, place)
-        return None if expected is None else self._whitened(expected)
+        return self._whitened(self._predicted(force, place))
 
     def _whitened(self, expected: Floats) -> Floats:
         """Return the whitened residual of a prediction."""
         return np.asarray(self.factor @ (self.measured - expected - self.lacked)[self.rows])
 
-    def _whitening(self, force: Floats, place: float, expected: Floats) -> Floats | None:
+    def _whitening(self, force: Floats, place: float, expected: Floats) -> Floats:
         """Return the inverse root of the covariance, by the last motions while it hardly moves."""
         observer, rows = self.observer, self.rows
         if not self.markers:
@@ -442,11 +428,9 @@ class _Fit:
             or not np.array_equal(rows, kept.rows)
             or np.abs(expected - kept.expected).max() >= SAME_LENGTH * arm.robot.length
         ):
-            columns = arm.columns(self.inputs, observer.point(force, place))
-            if columns is None:
-                return None
-            free, moved = self._predicted(np.zeros(3), observer.tip), 0.0
-            if free is not None:  # motion by the load at the marker that moves most
+            columns, moved = arm.columns(self.inputs, observer.point(force, place)), 0.0
+            with suppress(NoEquilibriumError):  # motion by the load at the marker that moves most
+                free = self._predicted(np.zeros(3), observer.tip)
                 off = self.measured - free - arm.lacked(columns)
                 off = np.linalg.norm(off.reshape(-1, 3), axis=1)
                 moved = float(np.nanmax(off))

@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.errors import InputError
+from ..common.errors import InputError, NoEquilibriumError
 from ..common.processes import ComputingThread
 from ..common.words import listed
 from ..data import Marker
@@ -149,11 +149,13 @@ class DriftAlarm:
 
         """
         arm, measured = self.arm, positions.ravel()
-        expected, rows = arm.expected(tensions), np.isfinite(measured)
-        if expected is None or not rows.any():
+        rows = np.isfinite(measured)
+        if not rows.any():
             return self.state
-        slopes = self._signatures(tensions, expected.columns)
-        if slopes is None:
+        try:
+            expected = arm.expected(tensions)
+            slopes = self._signatures(tensions, expected.columns)
+        except NoEquilibriumError:
             return self.state
         innovation, columns, scatter = arm.observation(expected, measured, frames)
         inverse = np.linalg.inv(columns @ arm.covariance @ columns.T + scatter)
@@ -235,13 +237,11 @@ class DriftAlarm:
             return self.state.suspects
         return tuple(one for one in self.finder.suspects() if one.probability > RARE)
 
-    def _signatures(self, tensions: Floats, built: Floats) -> Floats | None:
+    def _signatures(self, tensions: Floats, built: Floats) -> Floats:
         """Return the motion of the markers by a unit of every change, (3 J, c) [m per unit]."""
         whole = self.arm.whole
         whole.inputs = np.maximum(tensions, 0.0)[None]
         moves = differences(whole, {}, self._frees)
-        if moves is None:
-            return None
         states = len(self.arm.plausible)
         return np.column_stack([*moves[0, :, 0], built[:, :states] / self.arm.plausible])
 
