@@ -1,10 +1,12 @@
 """The monitor without ROS: alignment in time, stillness, means, recording, what it may add."""
 
 import json
+import sys
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from processes import until
 
 from tendon_robot_ros.common.errors import DataSetError, InputError
 from tendon_robot_ros.data import load_dataset, save_dataset
@@ -187,6 +189,21 @@ def test_two_postures_are_needed(model):
 def test_add_needs_a_diagnosis_first():
     with pytest.raises(InputError, match='call record, then diagnose'):
         Work().add(False)
+
+
+def test_a_diagnosis_that_complains_a_lot_is_read_to_its_end(tmp_path, monkeypatch):
+    command = tmp_path / 'python'
+    command.write_text(
+        '#!/bin/sh\nyes warning | head -n 20000 >&2\necho "at last" >&2\n'
+        """echo '{"kind": "progress", "text": "on"}'\nexit 1\n"""
+    )
+    command.chmod(0o755)
+    monkeypatch.setattr(sys, 'executable', str(command))
+    work, told = Work(), []
+    work.diagnose(tmp_path, [])
+    until(lambda: told.extend(work.news()) or not work.running, 'its end')
+    work.cancel()
+    assert [one['text'] for one in told] == ['on', 'the diagnosis failed: at last']
 
 
 def test_an_addition_that_was_asked_for_twice_is_answered_twice():

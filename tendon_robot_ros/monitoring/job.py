@@ -12,6 +12,7 @@ import os
 import queue
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -159,23 +160,27 @@ class Work:
         self.cancel()
         self._verdict, self._addition, self._requested = None, None, None
         lines: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        # a file takes any amount, a pipe does not; the reader closes it
+        complaints = tempfile.TemporaryFile('w+')  # noqa: SIM115
         child = subprocess.Popen(
             [sys.executable, '-m', __name__, str(folder), *filter(None, effects)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stderr=complaints,
             text=True,
             start_new_session=True,
         )
 
         def read() -> None:
-            assert child.stdout is not None and child.stderr is not None
+            assert child.stdout is not None
             for line in child.stdout:
                 lines.put(json.loads(line))
-            complaint = child.stderr.read().strip().splitlines()
-            if child.wait():
-                why = complaint[-1] if complaint else f'ended with code {child.returncode}'
-                lines.put({'kind': 'failed', 'text': why})
+            with complaints:
+                if child.wait():
+                    complaints.seek(0)
+                    ended = f'ended with code {child.returncode}'
+                    why = (complaints.read().strip().splitlines() or [ended])[-1]
+                    lines.put({'kind': 'failed', 'text': why})
 
         self._child, self._lines = child, lines
         self._reader = threading.Thread(target=read, daemon=True)
