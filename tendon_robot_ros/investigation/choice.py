@@ -21,7 +21,7 @@ prior, to which the goal compares the intervals.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from ..diagnosis.next_measurement import as_if_measured
 from ..diagnosis.stepwise import PRIOR_TYPICALS
 from ..effects import Catalogue
 from ..inference.candidates import nuisances_of
-from ..inference.imperfections import REMAINDER, SplitPredictor, imperfections
+from ..inference.imperfections import SplitPredictor, member_moves
 from ..inference.noise import Noise, Whitener, input_slopes
 from ..inference.predict import FreeParameter, Point, Predictor, frees_of
 from ..model.model import Model
@@ -116,15 +116,15 @@ def pool(
     """
     count = POOL_POSTURES // 3 if input == 'displacement' else POOL_POSTURES
     rows = [default_postures(robot, max(count // 5, 3), 0, input)]
-    rows.append(default_postures(robot, count - len(rows[0]), 1 + goal.seed, input))
+    rows.append(default_postures(robot, count - len(rows[0]), 1, input))
     if path == 'sequence':  # letting go is what shows a memory
-        rows.append(default_postures(robot, count // 2, 2 + goal.seed, input, 'sequence'))
+        rows.append(default_postures(robot, count // 2, 2, input, 'sequence'))
     return allowed(np.unique(np.vstack(rows), axis=0), goal, input, model, room, start)
 
 
 def fresh(robot: Robot, goal: Goal, input: str, model: Model, room: Room) -> Floats:
     """Return allowed postures outside the pool of this goal, for verification."""
-    rows = default_postures(robot, 4 * goal.checks + 4, 3 + goal.seed, input)
+    rows = default_postures(robot, 4 * goal.checks + 4, 3, input)
     return allowed(rows, goal, input, model, room)
 
 
@@ -208,7 +208,7 @@ def choose(
 
     """
     design = LinearDesign(question, measured, catalogue)
-    offered, where = design.offered(pool)
+    pool, offered = design.offered(pool)
     if not offered:
         return []
     precision = np.eye(design.size)
@@ -219,7 +219,7 @@ def choose(
     for _ in range(min(count, len(remaining))):
         gains = [design.gain(precision, offered[i]) for i in remaining]
         best = remaining.pop(int(np.argmax(gains)))
-        choices.append((pool[where[best]], float(max(gains))))
+        choices.append((pool[best], float(max(gains))))
         precision += offered[best].T @ offered[best]
     return choices
 
@@ -234,8 +234,8 @@ class LinearDesign:
         self.frees = tuple(dict.fromkeys(frees_of(question.effects, self.catalogue, self.robot)))
         self.size = 0
 
-    def offered(self, pool: Floats) -> tuple[list[Floats], list[int]]:
-        """Return the whitened rows of the solved postures of a pool, and their indices."""
+    def offered(self, pool: Floats) -> tuple[Floats, list[Floats]]:
+        """Return the postures of a pool that have an equilibrium, and their whitened rows."""
         old = self.measured
         in_turn = old.path == 'sequence' and len(old.postures)
         after = old.inputs[-1] if in_turn else None
@@ -246,12 +246,8 @@ class LinearDesign:
             each = 1 if shown == slice(None) else 2  # with the one before it
             bad = {int(name) // each for name in predictor.unsettled(self.question.point)}
             keep = [i for i in range(len(pool)) if i not in bad]
-            if len(keep) in (0, len(pool)):
-                return [], []
-            rows, where = self.offered(pool[keep])
-            return rows, [keep[i] for i in where]
-        rows = self.rows(as_if)[shown]
-        return rows, list(range(len(pool)))
+            return self.offered(pool[keep]) if 0 < len(keep) < len(pool) else (pool[:0], [])
+        return pool, self.rows(as_if)[shown]
 
     def rows(self, dataset: DataSet) -> list[Floats]:
         """Return whitened derivatives (values, columns) for every posture of a data set."""
@@ -269,7 +265,7 @@ class LinearDesign:
             for n in nuisances_of(self.robot, self.catalogue, predictor)
         ]
         if not self.robot.exact:
-            slopes += self.as_built(dataset)
+            slopes += self._as_built(SplitPredictor(predictor))
         self.size = len(slopes)
         whitener = Whitener(dataset, self.question.noise, input_slopes(predictor, point))
         white = whitener.white(np.array(slopes))
@@ -301,16 +297,14 @@ class LinearDesign:
                 return (moved - markers) / step
         return np.zeros_like(markers)
 
-    def as_built(self, dataset: DataSet) -> list[Floats]:
+    def _as_built(self, split: SplitPredictor) -> list[Floats]:
         """Return the displacement (P, J, 3) [m] by each imperfection of a plausible size."""
-        unmeasured = replace(dataset, positions=np.full_like(dataset.positions, np.nan))
-        split = SplitPredictor(Predictor(unmeasured, self.robot, self.catalogue))
-        built = imperfections(split, self.question.point)
-        if built is None:
+        if split.markers(self.question.point) is None:
             return []
-        sizes = [kind.plausible for kind in built.kinds if kind.name != REMAINDER]
-        members = [len(kind) for kind in built.kinds if kind.name != REMAINDER]
-        return list(built.moves * np.repeat(sizes, members)[:, None, None, None])
+        kinds = split.kinds(every=False)
+        sizes = np.repeat([kind.plausible for kind in kinds], [len(kind) for kind in kinds])
+        moves = member_moves(split, self.question.point, kinds)
+        return list(moves * sizes[:, None, None, None])
 
 
 def information(precision: Floats, rows: Floats) -> float:

@@ -39,7 +39,6 @@ class Goal:
     skipped: int = 5
     add: bool = False  # write what is found even where the verdict is a class
     tension_max: float = math.inf  # [N] besides the limits of the description
-    seed: int = 0  # of the postures that may be chosen
     tracker_noise: float = 2e-4  # [m] to plan with until there are measurements
     effect_files: tuple[str, ...] = field(default=())
 
