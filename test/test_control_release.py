@@ -268,6 +268,18 @@ def test_what_the_driver_said_before_it_was_reset_stops_nothing():
     assert rig.code() == 'driver_stopped'
 
 
+def test_a_stop_of_a_driver_that_was_started_anew_counts():
+    rig = Rig()
+    rig.run(0.1)
+    for why, count in (('', 0), ('stop was called', 1)):
+        rig.core.driver_reports(why, why, count)
+    rig.core.resumed()
+    for why, count in (('', 0), ('stop was called', 1)):
+        rig.core.driver_reports(why, why, count)
+    rig.run(0.1)
+    assert rig.code() == 'driver_stopped'
+
+
 def refuse_a_target(rig):
     with pytest.raises(Refusal) as refusal:
         rig.core.aim(reachable())

@@ -280,6 +280,8 @@ class ControllerCore(ControllerState):
 
         """
         driver = self.driver
+        if driver.releases is not None and releases < driver.releases:
+            driver.over = None  # another driver, which counts from the beginning
         before, driver.stopped = driver.stopped, stopped or other
         if releases == driver.over:
             driver.stopped = other  # the report is older than the last resume
