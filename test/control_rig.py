@@ -44,6 +44,15 @@ class Rig:
         return controller_status(self.core, self.now).code
 
 
+def aimed(seconds, **settings):
+    """Return a rig that has been on its way to a target for so long [s]."""
+    rig = Rig(**settings)
+    rig.run(0.1)
+    rig.core.aim(reachable())
+    rig.run(seconds)
+    return rig
+
+
 def reachable(tensions=(0.5, 0.1, 0.1, 0.9)):
     shape = model().shape(np.array(tensions))
     return Target(shape.tip_position, shape.tip_direction)

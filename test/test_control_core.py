@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from control_rig import CYCLE, Rig, model, reachable
+from control_rig import CYCLE, Rig, aimed, model, reachable
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.common.rotations import angle_between
@@ -47,10 +47,7 @@ def test_it_starts_from_what_the_driver_measures():
 
 def lost_and_found(**settings):
     """Return a controller on its way to a target whose driver was away and is slack now."""
-    rig = Rig(rate_limit=2.0, **settings)
-    rig.run(0.1)
-    rig.core.aim(reachable())
-    rig.run(0.1)
+    rig = aimed(0.1, rate_limit=2.0, **settings)
     rig.alive = False
     rig.run(0.3)
     held = rig.outputs[-1].tensions
@@ -77,10 +74,7 @@ def test_with_resume_a_driver_that_comes_back_is_led_to_the_old_target():
 
 
 def test_a_driver_that_stays_away_finds_no_old_command_when_it_comes_back():
-    rig = Rig()
-    rig.run(0.1)
-    rig.core.aim(reachable())
-    rig.run(1.0)
+    rig = aimed(1.0)
     rig.alive = False
     assert rig.run(1.1) is not None  # a hiccup: the last command is held
     assert rig.run(0.3) is None
@@ -90,10 +84,7 @@ def test_a_driver_that_stays_away_finds_no_old_command_when_it_comes_back():
 
 
 def test_a_controller_that_was_not_running_for_a_while_holds_what_it_finds():
-    rig = Rig()
-    rig.run(0.1)
-    rig.core.aim(reachable())
-    rig.run(1.0)
+    rig = aimed(1.0)
     rig.now += 2.0  # it was stopped; the driver released the arm meanwhile
     rig.tensions = np.full(4, 0.1)
     assert rig.run(0.5).tensions.tolist() == [0.1] * 4
@@ -101,10 +92,7 @@ def test_a_controller_that_was_not_running_for_a_while_holds_what_it_finds():
 
 
 def test_a_twist_moves_the_tip_and_ends_by_itself():
-    rig = Rig()
-    rig.run(0.1)
-    rig.core.aim(reachable())
-    rig.run(1.0)
+    rig = aimed(1.0)
     start = model().shape(rig.tensions).tip_position
     twist = Twist(np.array([0.02, 0.0, 0.0]), np.zeros(3))
     rig.run(0.5, lambda rig: rig.core.twist(rig.now, twist))
@@ -160,10 +148,7 @@ def test_a_turn_begins_where_the_tip_looks_after_it_was_moved():
 
 
 def test_a_stop_silences_it_and_drops_the_target():
-    rig = Rig()
-    rig.run(0.1)
-    rig.core.aim(reachable())
-    rig.run(0.02)
+    rig = aimed(0.02)
     rig.core.stop('topic', 'topic stop says true', lasting=True)
     assert rig.run(0.1) is None
     with pytest.raises(Refusal, match='topic stop says true; call reset first'):
@@ -179,10 +164,7 @@ def test_a_stop_silences_it_and_drops_the_target():
 
 
 def test_while_the_driver_is_stopped_it_follows_the_measured_state():
-    rig = Rig()
-    rig.run(0.1)
-    rig.core.aim(reachable())
-    rig.run(1.0)
+    rig = aimed(1.0)
     rig.core.driver_reports('stop was called')
     rig.tensions = np.full(4, 0.3)
     assert rig.run(0.1).tensions == pytest.approx([0.3] * 4)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from control_rig import CYCLE, Rig, model, reachable
+from control_rig import CYCLE, Rig, aimed, model, reachable
 
 from tendon_robot_ros.common.errors import InputError, NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings
@@ -47,10 +47,7 @@ def test_unobserved_tensions_are_taken_from_the_wire_pulls():
 
 
 def test_another_model_moves_tensions_to_its_solution_at_the_rate_limit():
-    rig = Rig(rate_limit=2.0)
-    rig.run(0.1)
-    rig.core.aim(reachable())
-    rig.run(1.0)
+    rig = aimed(1.0, rate_limit=2.0)
     before = rig.tensions
     stiffer = model().robot.with_effect('backbone_stiffness', {'relative_change': 0.2})
     rig.core.set_model(Model(stiffer))
@@ -93,10 +90,7 @@ def test_a_model_with_other_inputs_or_without_equilibrium_is_refused(monkeypatch
 
 
 def test_without_equilibrium_it_halts_and_then_releases(monkeypatch):
-    rig = Rig(pull_mode=True)
-    rig.run(0.1)
-    rig.core.aim(reachable())
-    rig.run(0.02)
+    rig = aimed(0.02, pull_mode=True)
     count = len(rig.outputs)
 
     def fail(*args, **kwargs):
@@ -157,10 +151,7 @@ def test_one_that_is_checked_while_the_model_changes_is_checked_again_and_ends_t
 
 
 def test_a_target_that_comes_while_a_model_is_looked_at_is_met_with_it():
-    rig = Rig()
-    rig.run(0.1)
-    rig.core.aim(reachable())
-    rig.run(1.0)
+    rig = aimed(1.0)
     stiffer = Model(model().robot.with_effect('backbone_stiffness', {'relative_change': 0.2}))
     work, done = posted(rig, lambda: rig.core.set_model(stiffer))
     new = reachable((0.1, 0.8, 0.3, 0.1))

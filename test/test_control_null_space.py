@@ -140,31 +140,18 @@ class Rig:
             self.commands.append(output.tensions)
 
 
-@pytest.mark.slow  # the next one looks at the same on a motion that ends earlier
-def test_on_an_arm_that_rubs_more_no_tension_turns_round_and_the_tip_stays():
-    rig = Rig()
+def at_target(seed=1, cells=0.0):
+    """Return a rig whose arm stands at a target."""
+    rig = Rig(seed, cells)
     rig.run(0.1)
     rig.core.aim(Target(np.array([-0.09, 0.0, 0.175])))
     rig.run(4.0)
-    tip, tensions, begin = rig.tips[-1], rig.commands[-1], len(rig.tips)
-    before = rig.arm.tip_stiffness(rig.shape).along([1, 0, 0])
-    wants = Preferences(low_tension=0.5, stiffness=0.1, stiffness_direction=(1.0, 0.0, 0.0))
-    rig.core.settings = replace(rig.core.settings, preferences=wants)
-    rig.run(50.0)
-    away = np.linalg.norm(np.array(rig.tips[begin:]) - tip, axis=1)
-    risen = np.diff(np.array(rig.commands[begin:]), axis=0)
-    assert away.max() < 1.5e-4
-    assert risen.min() > -1e-12
-    assert np.all(rig.commands[-1] > tensions + 0.05)
-    assert rig.arm.tip_stiffness(rig.shape).along([1, 0, 0]) > 1.15 * before
+    return rig
 
 
 @pytest.mark.long
 def test_it_ends_where_the_tip_is_as_stiff_as_is_enough():
-    rig = Rig()
-    rig.run(0.1)
-    rig.core.aim(Target(np.array([-0.09, 0.0, 0.175])))
-    rig.run(4.0)
+    rig = at_target()
     model, along = rig.core.model, (1.0, 0.0, 0.0)
     enough = 1.06 * model.tip_stiffness(rig.core.track.last).along(along)
     wants = Preferences(
@@ -183,12 +170,9 @@ def test_it_ends_where_the_tip_is_as_stiff_as_is_enough():
     assert rig.commands[-1] == pytest.approx(rig.commands[begin], abs=1e-9)
 
 
-def moved_on(seed, cells=0.0):
+def moved_on(cells=0.0):
     """Return a rig at a target after a short motion from there that is over."""
-    rig = Rig(seed, cells)
-    rig.run(0.1)
-    rig.core.aim(Target(np.array([-0.09, 0.0, 0.175])))
-    rig.run(4.0)
+    rig = at_target(2, cells)
     rig.begun = len(rig.tips)
     begin(rig.core, 0.1)
     rig.run(20.0)
@@ -205,12 +189,7 @@ def moved_on(seed, cells=0.0):
 @pytest.fixture(scope='module')
 def over():
     """Give a rig after a motion; what follows happens to it one after the other."""
-    return moved_on(2)
-
-
-@pytest.mark.slow
-def test_where_another_motion_is_over_the_tip_stays_as_well():
-    test_where_a_motion_is_over_the_tip_stays_and_no_tension_turns_round(moved_on(3))
+    return moved_on()
 
 
 def test_where_a_motion_is_over_the_tip_stays_and_no_tension_turns_round(over):
@@ -223,7 +202,7 @@ def test_where_a_motion_is_over_the_tip_stays_and_no_tension_turns_round(over):
 
 @pytest.mark.long
 def test_noise_of_load_cells_is_no_motion_of_the_arm():
-    rig = moved_on(2, cells=0.005)
+    rig = moved_on(cells=0.005)
     away = np.linalg.norm(np.array(rig.tips[rig.begun :]) - rig.tips[rig.begun], axis=1)
     assert away.max() < 1e-4
 
@@ -252,10 +231,7 @@ def test_a_load_after_a_motion_is_taken_by_the_ordinary_loop(over):
 
 
 def test_a_drive_that_fails_on_a_motion_is_seen_by_the_tip_and_then_by_its_load_cell():
-    rig = Rig(4)
-    rig.run(0.1)
-    rig.core.aim(Target(np.array([-0.09, 0.0, 0.175])))
-    rig.run(4.0)
+    rig = at_target(4)
     begin(rig.core, 0.1)
     rig.run(3.0)
     assert rig.core.loop.motion is not None

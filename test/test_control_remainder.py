@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
+from friction_rig import TARGETS, Rig, model
 
 from tendon_robot_ros.common.local_stop import SILENCE_S
-from tendon_robot_ros.control import ControllerCore, Settings, Target
+from tendon_robot_ros.control import Target
 from tendon_robot_ros.control.status import controller_status
 from tendon_robot_ros.control.tip_loop import Remainder, TipProgress, foreign
-from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.robot import load_robot
 
-CYCLE = 0.005  # [s]
 NAMES = ('one', 'two', 'three')
 FREE = np.full((2, 3), 0.5)
 SPATIAL = np.array([[0.5, -0.25, -0.25], [0.0, 0.4, -0.4], [1e-3, 1e-3, 1e-3]])  # [m]
@@ -78,23 +76,15 @@ def test_a_model_that_is_far_off_its_arm_leads_to_diagnose(remembers):
 
 def seen(shift, seconds=5.0):
     """Close the loop on an arm whose tip is shifted (3,) [m] from its model's."""
-    core = ControllerCore(Model(load_robot('kato_10_1')), Settings(tip_gain=5.0))
-    arm = Model(load_robot('kato_10_1'))
-    shape, codes = arm.shape(np.full(4, 0.1)), []
-    for step in range(round(seconds / CYCLE)):
-        now = CYCLE * step
-        core.measured(now, shape.inputs, shape.pulls)
-        if step == 5:
-            core.aim(Target(arm.shape(np.array([0.9, 0.1, 0.1, 0.5])).tip_position))
-        output = core.step(now)
-        if output is not None:
-            shape = arm.follow(shape, output.tensions)
-        if step % 6 == 0:
-            core.predict(now, lambda shape: None)
-        if step % 4 == 0:
-            core.tip_measured(now, shape.tip_position + shift)
-            codes.append(controller_status(core, now).code)
-    return controller_status(core, now), codes
+    rig, codes = Rig(known=False, tip_gain=5.0), []
+    rig.arm = model(False)
+    rig.run(0.05)
+    rig.core.aim(Target(rig.arm.shape(np.array(TARGETS[0])).tip_position))
+    for _ in range(round(seconds / 0.02)):
+        rig.run(0.02)
+        rig.core.tip_measured(rig.now, rig.shape.tip_position + shift)
+        codes.append(rig.code())
+    return controller_status(rig.core, rig.now), codes
 
 
 def test_reached_is_what_the_tracker_sees():

@@ -296,17 +296,8 @@ def test_the_command_shows_all_tendons_of_an_arm_in_space(tmp_path, capsys):
     robot = tmp_path / 'robot.yaml'
     robot.write_text(dump_robot(spatial(effects=FRICTION)))
     out = tmp_path / 'out'
-    call = [
-        'model',
-        'workspace',
-        str(robot),
-        '--view',
-        '60',
-        '--view',
-        '200',
-        '--postures',
-        '3000',
-    ]
+    call = ['model', 'workspace', str(robot), '--view', '60', '--view', '200']
+    call += ['--postures', '3000']
     assert main([*call, '--cubes', '5', '--output', str(out)]) == 0
     printed = capsys.readouterr().out
     assert '3,000 postures over 6 tendons from 0 to 5 N' in printed
