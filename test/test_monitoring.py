@@ -339,10 +339,10 @@ def test_an_arm_that_stands_is_averaged_over_all_its_frames_and_seldom_begun_ane
 
 
 def test_it_forgets_what_is_older_than_it_may_be():
-    made = FrameMean(FRAME_NOISE, 0.01, 1.0)
+    made = FrameMean(FRAME_NOISE, 0.01, 1.05)  # 31.5 frames
     taken = fed_frames(made, np.random.default_rng(3), 30)
-    assert max(frames for _, _, frames in taken) == 36
-    assert taken[-1][2] == 36
+    assert max(frames for _, _, frames in taken) == 32
+    assert taken[-1][2] == 32
 
 
 def test_tensions_are_averaged_over_the_same_frames():

@@ -6,8 +6,11 @@ Recent samples are interpolated in time, checked for still segments, and average
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,18 +68,16 @@ class History:
 
     def at(self, time: float) -> Floats | None:
         """Return the linearly interpolated values at a time [s], None outside of the samples."""
-        later: tuple[float, Floats] | None = None
-        for sample in reversed(self._samples):
-            if sample[0] > time:
-                later = sample
-            elif later is None:
-                return sample[1] if time - sample[0] <= self.patience else None
-            elif later[0] - sample[0] > 2.0 * self.patience:  # a gap
-                return None
-            else:
-                part = (time - sample[0]) / (later[0] - sample[0])
-                return sample[1] + part * (later[1] - sample[1])
-        return None
+        after = bisect_right(self._samples, time, key=itemgetter(0))
+        if after == 0:
+            return None
+        begin, values = self._samples[after - 1]
+        if after == len(self._samples):
+            return values if time - begin <= self.patience else None
+        end, later = self._samples[after]
+        if end - begin > 2.0 * self.patience:  # a gap
+            return None
+        return values + (time - begin) / (end - begin) * (later - values)
 
     def mean(self, begin: float, end: float) -> Floats | None:
         """Return the mean over a closed interval [s], None without a sample in it."""
@@ -161,14 +162,14 @@ class StillWindow:
         )
 
 
-@dataclass(frozen=True)
-class _Batch:
-    """Mean of the frames between two calls."""
+# time [s], tensions (m,) [N], markers (J, 3) [m], nan for a missing one
+_Frame = tuple[float, Floats, Floats]
 
-    at: float  # [s] of the last frame
-    tensions: Floats  # (m,) [N]
-    positions: Floats  # (J, 3) [m], their mean
-    frames: int
+
+def _means(frames: Iterable[_Frame]) -> tuple[Floats, Floats]:
+    """Return mean tensions (m,) [N] and positions (J, 3) [m], nan for a marker never seen."""
+    _, tensions, positions = zip(*frames, strict=True)
+    return np.asarray(np.mean(tensions, axis=0)), mean_over(np.array(positions), 0)
 
 
 class FrameMean:
@@ -192,8 +193,8 @@ class FrameMean:
     def __init__(self, noise: float, tension_change: float, longest: float) -> None:
         """Begin without frames."""
         self.noise, self.tension_change, self.longest = noise, tension_change, longest
-        self._new: list[tuple[float, Floats, Floats]] = []
-        self._kept = deque[_Batch]()
+        self._new: list[_Frame] = []
+        self._kept = deque[_Frame]()
 
     def put(self, at: float, tensions: Floats, positions: Floats) -> None:
         """Add a frame: its time [s], tensions (m,) [N], markers (J, 3) [m] or nan."""
@@ -210,43 +211,30 @@ class FrameMean:
 
         """
         at, now, _ = self._new[-1]
-        same = [(t, y) for _, t, y in self._new if self._same(t, now)]
+        new = [frame for frame in self._new if self._same(frame[1], now)]
         self._new.clear()
-        tensions, positions = (np.array(rows) for rows in zip(*same, strict=True))
-        batch = _Batch(at, tensions.mean(axis=0), mean_over(positions, 0), len(same))
-        while self._kept and self._kept[0].at < at - self.longest:
+        while self._kept and self._kept[0][0] < at - self.longest:
             self._kept.popleft()
-        if self._kept and self._changed(batch, slopes):
+        if self._kept and self._changed(new, slopes):
             self._kept.clear()
-        self._kept.append(batch)
-        weights = [one.frames for one in self._kept]
-        kept = np.average([one.tensions for one in self._kept], axis=0, weights=weights)
-        return kept, *_joined(self._kept)
+        self._kept.extend(new)
+        return *_means(self._kept), len(self._kept)
 
     def _same(self, tensions: Floats, now: Floats) -> bool:
         return not np.abs(tensions - now).max() > self.tension_change
 
-    def _changed(self, batch: _Batch, slopes: Floats | None) -> bool:
-        """Whether a batch differs significantly from the earlier ones."""
-        if not self._same(self._kept[-1].tensions, batch.tensions):
+    def _changed(self, new: list[_Frame], slopes: Floats | None) -> bool:
+        """Whether new frames differ significantly from the earlier ones."""
+        (before, places), (tensions, positions) = _means(self._kept), _means(new)
+        if not self._same(before, tensions):
             return True
-        before, frames = _joined(self._kept)
-        off = (batch.positions - before).ravel()
+        off = (positions - places).ravel()
         visible = np.isfinite(off)
-        off = off[visible] / (self.noise * np.sqrt(1.0 / batch.frames + 1.0 / frames))
+        off = off[visible] / (self.noise * np.sqrt(1.0 / len(new) + 1.0 / len(self._kept)))
         parts = [off]
         if slopes is not None and len(off) > slopes.shape[1]:
             parts.append(np.linalg.qr(slopes[visible])[0].T @ off)
         return any(p @ p > chi2_isf(RARE, len(p)) for p in parts if len(p))
-
-
-def _joined(batches: deque[_Batch]) -> tuple[Floats, int]:
-    """Return the mean of batches (J, 3) [m], nan for a missing marker, and their frames."""
-    frames = np.array([batch.frames for batch in batches])
-    positions = np.array([batch.positions for batch in batches])
-    weights = np.isfinite(positions) * frames[:, None, None]
-    total, count = np.nansum(positions * frames[:, None, None], axis=0), weights.sum(axis=0)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan), int(frames.sum())
 
 
 @dataclass(frozen=True)
