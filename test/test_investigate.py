@@ -162,9 +162,9 @@ def test_a_class_counts_only_when_its_interval_is_as_narrow_as_asked():
     )
     wide = Round(5, str(Verdict.AMBIGUOUS), ['a', 'b'], ['a', 'b'], 0.3, '')
     narrow = replace(wide, postures=6, widest=0.2)
-    assert settled(held, [wide, wide], Goal(), 5) is None
+    assert settled(held, [wide, wide], Goal()) is None
     assert only_wide(held, [wide, wide], Goal())
-    assert settled(held, [wide, narrow], Goal(), 6) is InvestigationEnd.INSEPARABLE
+    assert settled(held, [wide, narrow], Goal()) is InvestigationEnd.INSEPARABLE
     assert not only_wide(held, [wide, narrow], Goal())
 
 
@@ -327,9 +327,9 @@ def test_a_visible_effect_that_is_left_possible_keeps_the_question_open():
     middle = list(everything.values())[3]
     assert possible(found, dataset, catalogue, middle) == dict(list(everything.items())[:3])
     again = replace(made.record.rounds[-1], postures=6, possible={})
-    assert settled(found, [again, again], Goal(), 6) is InvestigationEnd.ADEQUATE
+    assert settled(found, [again, again], Goal()) is InvestigationEnd.ADEQUATE
     open_still = replace(again, possible={'gravity': 0.01})
-    assert settled(found, [again, open_still], Goal(), 6) is None
+    assert settled(found, [again, open_still], Goal()) is None
 
 
 def test_postures_keep_out_of_a_region_on_their_whole_way():

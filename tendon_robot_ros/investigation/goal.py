@@ -248,9 +248,7 @@ def possible(
     return dict(sorted(exceeding.items(), key=lambda item: -item[1]))
 
 
-def settled(
-    diagnosis: Diagnosis, rounds: Sequence[Round], goal: Goal, postures: int
-) -> InvestigationEnd | None:
+def settled(diagnosis: Diagnosis, rounds: Sequence[Round], goal: Goal) -> InvestigationEnd | None:
     """
     Return why the investigation ends, None if it goes on; the last round is this diagnosis.
 
@@ -261,17 +259,15 @@ def settled(
     verdict, now = diagnosis.verdict, rounds[-1]
     if verdict is Verdict.CANNOT_JUDGE:
         return InvestigationEnd.MISTAKE if 'mistake' in diagnosis.details else None
-    before = rounds[-2] if len(rounds) > 1 else None
-    repeated = before is not None and (before.verdict, before.names) == (now.verdict, now.names)
     narrow = now.widest is not None and now.widest <= goal.interval
     if verdict in NAMING and not diagnosis.cannot_tell_apart:
-        return InvestigationEnd.NAMED if repeated and narrow else None
+        same = [(one.verdict, one.names) == (now.verdict, now.names) for one in rounds[-2:]]
+        return InvestigationEnd.NAMED if same == [True, True] and narrow else None
     if verdict is Verdict.ADEQUATE:
-        confirmed = repeated and postures >= POSTURES_ENOUGH and not now.possible
+        confirmed = twice(verdict, rounds) and not now.possible
         return InvestigationEnd.ADEQUATE if confirmed else None
     if verdict is Verdict.OUTSIDE_CATALOGUE:
-        enough = before is not None and before.verdict == now.verdict
-        return InvestigationEnd.OUTSIDE if enough and postures >= POSTURES_ENOUGH else None
+        return InvestigationEnd.OUTSIDE if twice(verdict, rounds) else None
     return InvestigationEnd.INSEPARABLE if narrow and _inseparable(diagnosis, rounds) else None
 
 
@@ -286,11 +282,10 @@ def only_wide(diagnosis: Diagnosis, rounds: Sequence[Round], goal: Goal) -> bool
     return diagnosis.verdict in NAMING and (named_before or set(now.in_question) <= set(now.names))
 
 
-def adequate_twice(rounds: Sequence[Round]) -> bool:
-    """Return whether two diagnoses in a row, on enough postures, found the model adequate."""
-    last = rounds[-2:]
-    same = len(last) == 2 and all(one.verdict == Verdict.ADEQUATE for one in last)
-    return same and last[-1].postures >= POSTURES_ENOUGH
+def twice(verdict: Verdict, rounds: Sequence[Round]) -> bool:
+    """Return whether the last two diagnoses, on enough postures, came to a verdict."""
+    same = [one.verdict == verdict for one in rounds[-2:]] == [True, True]
+    return same and rounds[-1].postures >= POSTURES_ENOUGH
 
 
 def _inseparable(diagnosis: Diagnosis, rounds: Sequence[Round]) -> bool:

@@ -44,7 +44,6 @@ from .goal import (
     Goal,
     InvestigationEnd,
     Round,
-    adequate_twice,
     in_question,
     may_act,
     names_of,
@@ -52,6 +51,7 @@ from .goal import (
     possible,
     settled,
     short,
+    twice,
     widest,
 )
 
@@ -180,8 +180,8 @@ class Investigation:
                 question, dataset = self.question(), self.record.dataset
                 choices = choose(question, dataset, offered, self.catalogue, count)
             gain = choices[0][1] if choices else 0.0
-            many = have >= NARROWING_FROM
-            if adequate_twice(self.record.rounds) and gain < (NARROWING_MIN if many else GAIN_MIN):
+            least = NARROWING_MIN if have >= NARROWING_FROM else GAIN_MIN
+            if twice(Verdict.ADEQUATE, self.record.rounds) and gain < least:
                 return InvestigationEnd.ADEQUATE
             if not choices or (have >= self.goal.start and gain < GAIN_MIN):
                 return InvestigationEnd.POOL
@@ -285,7 +285,7 @@ class Investigation:
         earlier = [one for one in self.record.rounds if one.postures < now.postures]
         self.record.rounds = [*earlier, now]
         self.record.save()
-        outcome = settled(diagnosis, self.record.rounds, self.goal, now.postures)
+        outcome = settled(diagnosis, self.record.rounds, self.goal)
         width = '' if now.widest is None else f', to {100.0 * now.widest:.0f} %'
         text = f'  {now.postures} postures: {now.text}{width}{may_act(now)}'
         self.report(

@@ -68,7 +68,6 @@ class Sampling:
     tolerance: float  # [rad]
     limits: tuple[float, float]  # [N]
     edge: float  # [m] of the cubes
-    seed: int
 
     @classmethod
     def of(
@@ -79,7 +78,6 @@ class Sampling:
         tolerance: float = np.radians(2.5),
         limits: tuple[float, float] | None = None,
         edge: float | None = None,
-        seed: int = 0,
     ) -> Sampling:
         """
         Say what to sample.
@@ -97,8 +95,6 @@ class Sampling:
             Lowest and highest tension [N]; by default the robot's.
         edge : float, optional
             Of the cubes [m]; by default so that ten postures come to each.
-        seed : int
-            Another seed gives other postures.
 
         Raises
         ------
@@ -129,7 +125,7 @@ class Sampling:
         if expected:
             raise InputError(f'workspace: expected {expected}')
         files = model.catalogue.files
-        return cls(robot, files, postures, tuple(views), tolerance, (low, high), edge, seed)
+        return cls(robot, files, postures, tuple(views), tolerance, (low, high), edge)
 
     @property
     def rounds(self) -> list[int]:
@@ -197,7 +193,7 @@ def sort_batches(
     """Solve and sort the batches (number, postures) of a round, in a worker."""
     model, tally = _model_of(sampling), SortedTips(sampling)
     for number, count in batches:
-        entropy = np.random.SeedSequence(sampling.seed, spawn_key=(round, number))
+        entropy = np.random.SeedSequence(0, spawn_key=(round, number))
         random = np.random.default_rng(entropy)
         tally.add(*model.solve(drawn(random, count, sampling, start)))
     return tally.packed()
