@@ -18,7 +18,7 @@ from tendon_robot_ros.investigation.loop import Investigation
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring.built_arm import BuiltArm
 from tendon_robot_ros.monitoring.change import ChangeFinder, ChangeFit, ChangeWork, changes_of
-from tendon_robot_ros.monitoring.contact import ContactObserver
+from tendon_robot_ros.monitoring.contact import ContactObserver, _Fit
 from tendon_robot_ros.monitoring.references import Reference, log_likelihood, widening
 from tendon_robot_ros.monitoring.watch import (
     ArmWatch,
@@ -269,6 +269,19 @@ def test_where_the_description_has_a_load_at_a_place_a_force_is_as_if_at_the_tip
     told = ContactObserver(arm).update(tensions, seen)
     assert told.force == pytest.approx([0.004, 0.0, 0.0], abs=2e-4)
     assert (told.place, told.interval) == (robot.length, (0.0, robot.length))
+
+
+def test_a_place_that_was_tried_and_is_no_better_leaves_nothing_behind(monkeypatch):
+    robot, tensions = ROBOT, np.array([0.4, 0.2, 0.7])
+    touch = {'arc_length': 0.5 * robot.length, 'force_x': 0.03}
+    seen = Model(robot.with_effect('point_load', touch)).shape(tensions).positions
+    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
+    fit = _Fit(ContactObserver(arm), tensions[None], seen.ravel(), True, 1)
+    best = fit._at(np.zeros(3), robot.length)
+    factor, tried = fit.factor, []
+    monkeypatch.setattr(_Fit, '_cost', lambda self, one: tried.append(self.factor) or 0.0)
+    assert fit._searched(best)[0] is best
+    assert not np.allclose(tried[0], factor) and fit.factor is factor
 
 
 @pytest.fixture(scope='module')

@@ -305,13 +305,14 @@ class _Fit:
             present = int(np.argmin(np.abs(places - best.place)))
             if costs[present] < costs[lowest] + TIE_SCORE:
                 break
-            try:
+            whitening = self.factor, self.lacked
+            with suppress(NoEquilibriumError):
                 other = self._at(forces[lowest], float(places[lowest]))
-            except NoEquilibriumError:
-                break
-            if self._cost(other) >= self._cost(best):
-                break
-            best = other
+                if self._cost(other) < self._cost(best):
+                    best = other
+                    continue
+            self.factor, self.lacked = whitening  # those of the best
+            break
         return best, interval
 
     def _profile(self, solution: _Solution) -> tuple[Floats, Floats] | None:
