@@ -70,6 +70,14 @@ def test_opposite_directions_are_refused_by_row():
         tip_path(np.array([0.0, 1.0, 2.0]), PLACES, views)
 
 
+def test_backwards_is_the_same_way_from_its_end():
+    path = tip_path(np.array([0.0, 2.0, 3.0]), PLACES, NONE)
+    back = path.backwards()
+    assert back.positions[back.rows] == pytest.approx(PLACES[::-1])
+    assert back.times[back.rows] == pytest.approx([0.0, 1.0, 3.0])
+    assert back.backwards().positions == pytest.approx(path.positions)
+
+
 def test_set_points_stand_until_the_next_one_and_a_stream_is_a_path():
     path = set_points(np.array([0.0, 2.0, 2.1]), PLACES, NONE)
     before = path.times < 2.0

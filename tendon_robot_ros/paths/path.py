@@ -55,6 +55,13 @@ class TipPath:
     directions: Floats
     rows: Ints
 
+    def backwards(self) -> TipPath:
+        """Return the path from its end to its start."""
+        last = len(self.times) - 1
+        times = self.times[-1] - self.times[::-1]
+        rows = last - self.rows[::-1]
+        return TipPath(times, self.positions[::-1], self.directions[::-1], rows)
+
 
 def tip_path(
     times: Floats | None, positions: Floats, directions: Floats, smooth: bool = True

@@ -31,6 +31,8 @@ from ...data.path_files import (
     read_path,
 )
 from ...drivers.safety import CYCLE_MAX_S
+from ...model.model import Model
+from ...model.shape import Shape
 from ...paths.path import (
     Pace,
     Plan,
@@ -41,14 +43,16 @@ from ...paths.path import (
     tip_path,
 )
 from ...report.pictures import draw_run, path_lines, place
-from ...robot.keep_out import load_keep_out, text_of
+from ...robot.keep_out import KeepOut, load_keep_out, text_of
 from ..controller.topics import POINTS_MAX
 from ..shared.robot_client import Pilot, add_controller
 from ..shared.runtime import ros
 from ..shared.timing import MOVE_TIMEOUT_S, NEWS_PERIOD_S
 
 FLAGS = {
+    'backwards': 'from the last row to the first',
     'retreat': 'at the end go back by the way flown, the whole arm, to where it was before',
+    'hold-direction': 'keep looking where the tip looks now, all along the path',
     'linear': 'straight lines between rows (default: a smooth curve through them)',
     'commands': 'of a recording: play its tendon commands, not its targets',
     'plan': 'say what would be done, move nothing',
@@ -191,14 +195,19 @@ class Follow:
 
 
 def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) -> PathRun | None:
+    directions = rows.directions
+    if options.hold_direction:
+        directions = np.tile(pilot.tip()[1], (len(rows.positions), 1))
     if rows.held:
         assert rows.times is not None
-        path = set_points(rows.times, rows.positions, rows.directions)
+        path = set_points(rows.times, rows.positions, directions)
     else:
-        path = tip_path(rows.times, rows.positions, rows.directions, smooth=not options.linear)
-    model, now = pilot.model(), pilot.commands()[1][-1]
+        path = tip_path(rows.times, rows.positions, directions, smooth=not options.linear)
+    if options.backwards:
+        path = path.backwards()
+    model = pilot.model()
     # start of the search; in pull mode the tensions are unknown
-    start = model.shape(model.limits[:, 0] if pilot.pull else now)
+    start = model.shape(model.limits[:, 0] if pilot.pull else pilot.commands()[1][-1])
     regions = load_keep_out(options.keep_out) if options.keep_out else None
     planned = Plan(model, path, pace, start, regions)
     length = np.linalg.norm(np.diff(path.positions, axis=0), axis=1).sum()
@@ -213,12 +222,11 @@ def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) 
     elif detour := planned.detour():
         print(detour)
     if regions and not options.anyway:
-        current = model.pull_shape(now) if pilot.pull else start
+        current = _commanded_shape(pilot, model)
         change = float(np.abs(planned.tensions[0] - current.inputs).max())
         times = planned.path.times + change / pace.tension  # after the move to its start
         played = Trajectory(times, planned.tensions)
-        if refusal := keep_out_refusal(model, current, played, regions, False):
-            problem = str(refusal).removeprefix('tendon_trajectory: ')
+        if problem := _entry(model, current, played, regions, False):
             if not options.plan:
                 raise InputError(f'{options.path}: {problem}')
             print(problem)
@@ -232,6 +240,8 @@ def _tendons(
     pilot: Pilot, rows: TendonRows, options: argparse.Namespace, pace: Pace
 ) -> PathRun | None:
     times, values = rows.times, rows.values
+    if options.backwards:
+        times, values = times[-1] - times[::-1], values[::-1]
     print(f'{len(times)} rows of {"wire pulls" if pilot.pull else "tensions"}, {times[-1]:.1f} s')
     rate, current = pace.pull if pilot.pull else pace.tension, pilot.commands()[1][-1]
     # the move to the first row, which does not jump, then the rows, slower where they would exceed
@@ -241,13 +251,22 @@ def _tendons(
     )
     if options.keep_out:
         model, regions = pilot.model(), load_keep_out(options.keep_out)
-        shape = model.pull_shape(current) if pilot.pull else model.shape(current)
-        if refusal := keep_out_refusal(
-            model, shape, Trajectory(times, values), regions, pilot.pull
-        ):
-            problem = str(refusal).removeprefix('tendon_trajectory: ')
+        shape = _commanded_shape(pilot, model)
+        if problem := _entry(model, shape, Trajectory(times, values), regions, pilot.pull):
             raise InputError(f'{options.path}: {problem}')
     return None if options.plan else run_tendons(pilot, times, values)
+
+
+def _commanded_shape(pilot: Pilot, model: Model) -> Shape:
+    """Return the predicted shape under the present command."""
+    now = pilot.commands()[1][-1]
+    return model.pull_shape(now) if pilot.pull else model.shape(now)
+
+
+def _entry(model: Model, now: Shape, moves: Trajectory, regions: KeepOut, pull: bool) -> str:
+    """Return why a trajectory enters a region, '' where it keeps out of all."""
+    refusal = keep_out_refusal(model, now, moves, regions, pull)
+    return str(refusal or '').removeprefix('tendon_trajectory: ')
 
 
 def _read(options: argparse.Namespace, pilot: Pilot) -> TipRows | TendonRows:
