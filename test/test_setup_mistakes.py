@@ -103,6 +103,14 @@ def test_a_frozen_marker_is_named(right):
     assert 'marker 10 stands still' in found.sentence
 
 
+def test_a_marker_that_was_seen_once_is_not_frozen(right):
+    positions = right.positions.copy()
+    positions[1:, :, 9] = np.nan
+    positions[0, :, 9] += 0.05
+    once = replace(right, positions=positions)
+    assert find_mistake(Predictor(once, ROBOT, CATALOGUE), FLOOR) is None
+
+
 def test_a_diagnosis_says_the_mistake_and_nothing_else(right):
     wrong = replace(right, positions=right.positions[:, :, ::-1])
     found = diagnose(wrong)

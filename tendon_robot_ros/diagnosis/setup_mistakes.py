@@ -189,7 +189,8 @@ def _frozen(predictor: Predictor, markers: Floats, floor: float) -> Mistake | No
     spread = np.sqrt(mean_over(moved**2, 0).sum(axis=1))
     if len(spread) < 3:
         return None
-    expected = np.sqrt(np.var(markers, axis=0).sum(axis=1))
+    seen = np.where(np.isfinite(dataset.mean), markers, np.nan)  # in the same postures
+    expected = np.sqrt(mean_over((seen - mean_over(seen, 0)) ** 2, 0).sum(axis=1))
     still = np.flatnonzero(
         (spread < RESIDUAL_RATIO_USUAL * expected) & (expected > ODD_FROM_FLOORS * floor)
     )
