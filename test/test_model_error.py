@@ -13,6 +13,7 @@ from tendon_robot_ros.cli.robot import description
 from tendon_robot_ros.common.errors import RobotDescriptionError
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.diagnosis.add import add_effects, restore
+from tendon_robot_ros.inference.crossval import model_error_of
 from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.report.comparison import verdict
 from tendon_robot_ros.report.diagnosis_text import addition_warnings
@@ -152,3 +153,8 @@ def test_observed_markers_are_in_the_frame_of_the_tracker():
     np.testing.assert_allclose(Model(moved).observed(seen), turned + [0.01, 0.0, 0.0], atol=1e-12)
     one = Model(moved).observed(seen, [0.5 * ROBOT.length], [[0.0, 0.0, 0.0]])
     assert one.shape == (1, 3)
+
+
+def test_postures_without_a_prediction_show_no_model_error():
+    dataset = measured(ROBOT, {}, count=4)
+    assert model_error_of(dataset, np.full(dataset.mean.shape[:2], np.nan), 1e-4) is None

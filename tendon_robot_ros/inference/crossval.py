@@ -112,12 +112,12 @@ def predict(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> tuple[Predi
     return predictor, markers
 
 
-def model_error_of(dataset: DataSet, squares: Floats, floor: float) -> float:
+def model_error_of(dataset: DataSet, squares: Floats, floor: float) -> float | None:
     """
     Return the size at the tip [m] of the error of a model that left-out postures show.
 
     By least squares, for an error whose square grows along the arm with the arc length, as
-    `noise.common_error`.
+    `noise.common_error`. None where they show nothing beyond the base.
 
     Parameters
     ----------
@@ -129,7 +129,9 @@ def model_error_of(dataset: DataSet, squares: Floats, floor: float) -> float:
 
     """
     heights = np.broadcast_to(dataset.arc_lengths / dataset.robot.length, squares.shape)
-    known = np.isfinite(squares)
+    known = np.isfinite(squares) & (heights > 0.0)
+    if not known.any():
+        return None
     h, excess = heights[known], squares[known] - floor**2
     return float(np.sqrt(max(float(h @ excess) / float(h @ h), 0.0)))
 
