@@ -183,11 +183,7 @@ def _measured(dataset: DataSet, predictor: Predictor, angles: Floats | None) -> 
     noise = estimate_noise(dataset, slopes)
     floor = None  # (P, J) [m²] expected squared distance of a perfect model
     if noise is not None:
-        whitener = Whitener(dataset, noise, slopes)
-        squared = np.full((len(dataset.postures), 3 * len(dataset.markers)), np.nan)
-        for p, (rows, variance) in enumerate(zip(whitener.rows, whitener.variance, strict=True)):
-            squared[p, rows] = variance
-        floor = np.asarray(squared.reshape(len(squared), -1, 3).sum(axis=2))
+        floor = Whitener(dataset, noise, slopes).variance.sum(axis=2)
     return Measured(
         data=dataset.name,
         input=dataset.input,

@@ -140,7 +140,7 @@ def _compare(
     tips = np.array([one.markers[row, -1] for one in known])
     apart = np.linalg.norm(tips[:, None] - tips[None, :], axis=2)
     names, digits = session.robot.inputs, 3 if grid.input == 'tension' else 5
-    noise = float(np.sqrt(whitener.variance[row][-3:].sum()))
+    noise = float(np.sqrt(whitener.variance[row, -1].sum()))
     return float(worth.max()), NextMeasurement(
         dict(zip(names, grid.inputs[row].round(digits).tolist(), strict=True)),
         None if after is None else dict(zip(names, after.round(3).tolist(), strict=True)),

@@ -85,7 +85,7 @@ def since(
     off = (settled.mean - predict(settled, found, session.catalogue)[1])[seen]
     heights = settled.arc_lengths / described.length
     tracker = session.noise.position**2 / settled.counts[seen].mean(axis=1)  # (P,) [m²]
-    all_noise = np.array([float(session.whitener.variance[p].mean()) for p in seen])
+    all_noise = session.whitener.variance[seen].mean(axis=(1, 2))
     driven = 3.0 * (all_noise - tracker) / heights.mean()  # by inputs: it grows along the arm
     deviations = _DeviationProcess(
         np.nan_to_num(session.predictor.inputs[seen]), off, heights, driven, tracker

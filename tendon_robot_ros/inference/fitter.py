@@ -112,19 +112,10 @@ class Fitter:
             search = self.search(frees, start, sizes)
             search.run(steps)
             return self.freeze(search)
-        descent = self.begin(frees, start, steps)
+        descent = Descent(self, self.search(frees, start), steps)
         while not descent.converged:
             descent.go_on(hopeless)
         return descent.fit()
-
-    def begin(
-        self,
-        frees: Sequence[FreeParameter],
-        start: Fit | Point | None = None,
-        steps: int = STEPS_MAX,
-    ) -> Descent:
-        """Start a fit that runs round by round; see `fit`."""
-        return Descent(self, self.search(frees, start), steps)
 
     def search(
         self,
@@ -258,8 +249,9 @@ class Fitter:
         """
         plain = search.result(near)
         if self.around:
-            with self.predictor.as_described():
-                described = self.predictor.markers(search.point, near=search.settled)
+            self.predictor.around = {}
+            described = self.predictor.markers(search.point, near=search.settled)
+            self.predictor.around = self.around
             plain = plain if described is None else replace(plain, markers=described)
         described = np.array([self.predictor.value(free) for free in search.frees])
         plain = replace(plain, response=self.response, described=described)

@@ -153,7 +153,7 @@ def _rise(fitter: Fitter, fit: Fit, i: int, end: float) -> float:
         others = np.delete(np.arange(len(fit.all_frees)), i)
         slopes = fit.jacobian[: fitter.whitener.size, others]
         random, sizes = fit.built.random, fit.built.sizes
-        work = Likelihood(random.parts, residual, slopes, fit.precisions[others])
+        work = Likelihood(random, residual, slopes, fit.precisions[others])
         deviances.append(work.deviance(sizes**2) + prior)
     at_fit, at_end = deviances
     return float(np.sqrt(max(at_end - at_fit, 0.0)))
@@ -322,11 +322,10 @@ class SizeIntervals:
         Slopes (N, k) of parameters that are fitted along, and the precision (k,) of their priors,
         are as in `RandomEffects.estimate`.
         """
-        rows, parts = len(random.columns), random.parts
-        slopes = np.zeros((rows, 0)) if slopes is None else slopes
-        if parts.kind is not None and sizes[parts.kind] == 0.0:
-            parts = replace(parts, kind=None)
-        work = Likelihood(parts, np.zeros(rows), slopes, weights, Prior.NONE)
+        residual = np.zeros(len(random.columns))
+        slopes = np.zeros((len(residual), 0)) if slopes is None else slopes
+        remainder = random.remainder is not None and sizes[random.remainder] > 0.0
+        work = Likelihood(random, residual, slopes, weights, Prior.NONE, remainder)
         usual = np.where(np.isfinite(random.plausible), random.plausible, 0.0)
         others = np.maximum(sizes, 0.1 * NEGLIGIBLE * usual) ** 2
         self._kinds = []
@@ -348,12 +347,13 @@ class SizeIntervals:
         return low, high
 
 
+@dataclass(frozen=True)
 class _Estimate:
     """Distribution of an estimated variance: freedom and noise as functions of the true one."""
 
-    def __init__(self, grid: Floats, freedom: Floats, noise: Floats) -> None:
-        """Take logarithms of true variances (n,), and those of g (n,) and of the noise (n,)."""
-        self.grid, self.freedom, self.noise = grid, freedom, noise
+    grid: Floats  # (n,) logarithms of true variances
+    freedom: Floats  # (n,) logarithms of g
+    noise: Floats  # (n,) logarithms
 
     @classmethod
     def of(cls, work: Likelihood, others: Floats, k: int, grid: Floats) -> _Estimate:
@@ -391,17 +391,15 @@ class _Estimate:
     def _size(self, estimate: float, tail: float) -> float:
         """Return the size at which at least such an estimate has the probability `tail`."""
         low, high = float(self.grid[0]), float(self.grid[-1])
-        if tail < 0.5 and self.chance(estimate, low) > tail:
-            return 0.0
+        if self.chance(estimate, low) > tail:
+            return 0.0 if tail < 0.5 else math.exp(0.5 * low)
         if self.chance(estimate, high) < tail:
-            return np.inf if tail > 0.5 else float(np.exp(0.5 * high))
-        while high - low > 0.1 * NEGLIGIBLE:
-            middle = 0.5 * (low + high)
-            if self.chance(estimate, middle) < tail:
-                low = middle
-            else:
-                high = middle
-        return float(np.exp(0.25 * (low + high)))
+            return math.inf if tail > 0.5 else math.exp(0.5 * high)
+
+        def above(log: float) -> float:
+            return self.chance(estimate, log) - tail
+
+        return math.exp(0.5 * float(brentq(above, low, high, xtol=0.1 * NEGLIGIBLE)))
 
 
 def values_of(

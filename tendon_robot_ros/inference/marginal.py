@@ -77,23 +77,6 @@ def prior_of(ratios: Floats, of: Prior = Prior.SIZES) -> float:
 
 
 @dataclass(frozen=True)
-class Columns:
-    """Products of the columns of all kinds: those of the remainder (d) and the others (o)."""
-
-    all: Floats  # (N, o + d)
-    plausible: Floats  # (K,) sizes of the kinds; infinite: the prior is flat
-    together: Floats  # (K,) the same, with imperfections of the same influence
-    kind: int | None  # the remainder's
-    others: npt.NDArray[np.intp]  # (o,) columns
-    last: npt.NDArray[np.intp]  # (d,)
-    owners: npt.NDArray[np.int64]  # (o,) kinds
-    kinds: Floats  # (K, o) 1 where a column is of the kind
-    own: Floats  # (o, o) normal matrix
-    own_last: Floats  # (o, d)
-    size2: Floats  # (d,) squared lengths
-
-
-@dataclass(frozen=True)
 class _Reduced:
     """
     Small matrices at given variances; the remainder is part of the noise, V = D + X S X'.
@@ -103,20 +86,11 @@ class _Reduced:
 
     own: Floats  # (o, o) X'D^-1 X
     more: Floats  # (o, k + 1) X'D^-1 [parameters, residual]
-    inner: Floats  # (k + 1, k + 1) of these themselves
     factor: Floats  # (o, o) inverse of the triangular root of 1 + S X'D^-1 X S, times S
+    through: Floats  # (o, k + 1) factor times more
+    normal: Floats  # (k + 1, k + 1) [parameters, residual]'V^-1 [parameters, residual]
     shrunk: Floats  # (d,) 1 / (1 + gain)
     log: float  # log |V|
-
-
-@dataclass(frozen=True)
-class _Last:
-    """The columns of the remainder (d) through V^-1."""
-
-    cross: Floats  # (o, d) X'V^-1 D
-    own: Floats  # (d, d) D'V^-1 D
-    more: Floats  # (d, k) D'V^-1 [parameters]
-    u: Floats  # (d,) D'V^-1 of the residual beside the best parameters
 
 
 @dataclass(frozen=True)
@@ -139,29 +113,31 @@ class Likelihood:
 
     def __init__(
         self,
-        columns: Columns,
+        random: RandomEffects,
         residual: Floats,
         slopes: Floats,
         weights: Floats | None,
         prior: Prior = Prior.SIZES,
+        remainder: bool = True,
     ) -> None:
         """
         Take products of a residual (N,) and its slopes (N, k), whose priors weigh (k,).
+
+        Without a `remainder` the size of that kind is zero, and has no slopes.
 
         Unless effects compete (`Prior.SIZES`) the likelihood is restricted: of the data without
         the part that determines the parameters (REML, Patterson and Thompson 1971).
         """
         self.restricted = prior is not Prior.SIZES
-        around = columns.together if prior is Prior.LOGARITHMS else columns.plausible
-        self.prior, self.precision = prior, float(prior > 0) / around**2
-        self.kind, self.owners, self.kinds = columns.kind, columns.owners, columns.kinds
-        self.own, self.own_last, self.size2 = columns.own, columns.own_last, columns.size2
+        self.prior, self.precision = prior, float(prior > 0) / random.around(prior) ** 2
+        self.kind, self.owners = random.remainder if remainder else None, random.others
+        self.kinds = np.equal.outer(np.arange(len(random.kinds)), self.owners).astype(float)
+        self.own, self.own_last, self.size2 = random.products
         known = np.linalg.norm(slopes, axis=0)
         self.shown, self.lengths = known > 1e-9, known[known > 1e-9]
         slopes = slopes[:, known > 1e-9] / known[known > 1e-9]
         more = np.column_stack([slopes, residual])
-        cross = columns.all.T @ more
-        self.more, self.more_last = cross[columns.others], cross[columns.last]
+        self.more, self.more_last = np.split(random.columns.T @ more, [len(self.owners)])
         self.inner = more.T @ more
         k = slopes.shape[1]
         given = np.full(k, 1e-9) if weights is None else weights[known > 1e-9]
@@ -180,7 +156,10 @@ class Likelihood:
         s = np.sqrt(v)[self.owners]
         root = root_inverse(np.eye(len(s)) + s[:, None] * own * s)
         log = log - 2.0 * float(np.log(np.diag(root)).sum())
-        reduced = _Reduced(own, more, inner, root * s, shrunk, log)
+        factor = root * s
+        through = factor @ more
+        normal = inner - through.T @ through
+        reduced = _Reduced(own, more, factor, through, normal, shrunk, log)
         self._at = (v.copy(), reduced)
         return reduced
 
@@ -196,11 +175,9 @@ class Likelihood:
     def deviance(self, v: Floats) -> float:
         """-2 log likelihood with priors, at the best parameters."""
         at = self._reduced(v)
-        half = at.factor @ at.more
-        normal = at.inner - half.T @ half
-        cost = self._best(normal)[1] + at.log + prior_of(v * self.precision, self.prior)
+        cost = self._best(at.normal)[1] + at.log + prior_of(v * self.precision, self.prior)
         if self.restricted:
-            cost -= 2.0 * float(np.linalg.slogdet(self._root(normal))[1])
+            cost -= 2.0 * float(np.linalg.slogdet(self._root(at.normal))[1])
         return cost
 
     def slopes(self, v: Floats) -> Slopes:
@@ -212,12 +189,11 @@ class Likelihood:
         1995). The step is minorise-maximise of variance components: slow, but always a descent.
         """
         at, kinds = self._reduced(v), self.kinds
-        half, through = at.factor @ at.own, at.factor @ at.more
-        normal = at.inner - through.T @ through
-        best, _ = self._best(normal)
+        half = at.factor @ at.own
+        best, _ = self._best(at.normal)
         ahead = np.append(-best, 1.0)
-        w, m = at.own - half.T @ half, at.more - half.T @ through
-        root = self._root(normal)
+        w, m = at.own - half.T @ half, at.more - half.T @ at.through
+        root = self._root(at.normal)
         fitted = m[:, :-1] @ root.T
         beside = w - fitted @ fitted.T  # X'P X
         expected = beside if self.restricted else w
@@ -226,15 +202,15 @@ class Likelihood:
         information, along = kinds @ (expected * expected) @ kinds.T, kinds * u
         turned = along @ beside @ along.T
         if self.kind is not None:
-            last = self._last(at, half, through, ahead)
-            k, mine, own_fitted = self.kind, last.u, last.more @ root.T
-            cross, own = last.cross - fitted @ own_fitted.T, last.own - own_fitted @ own_fitted.T
+            k, (cross_all, own_all, more) = self.kind, self._last(at, half)
+            mine, own_fitted = more @ ahead, more[:, :-1] @ root.T
+            cross, own = cross_all - fitted @ own_fitted.T, own_all - own_fitted @ own_fitted.T
             across = along @ (cross @ mine)
             turned[k] += across
             turned[:, k] += across
             turned[k, k] = mine @ own @ mine
             if not self.restricted:
-                cross, own = last.cross, last.own
+                cross, own = cross_all, own_all
             both = np.square(cross).sum(axis=1)
             rise[k], observed[k] = np.trace(own), mine @ mine
             information[k] += kinds @ both
@@ -261,21 +237,23 @@ class Likelihood:
     def parameters(self, v: Floats) -> tuple[Floats, Floats]:
         """Return the best parameters (k,) at variances (K,), and their covariance (k, k)."""
         at = self._reduced(v)
-        half = at.factor @ at.more
-        normal = at.inner - half.T @ half
-        root = np.zeros((len(normal) - 1, len(self.shown)))
-        root[:, self.shown] = self._root(normal) / self.lengths
+        root = np.zeros((len(at.normal) - 1, len(self.shown)))
+        root[:, self.shown] = self._root(at.normal) / self.lengths
         best = np.zeros(len(self.shown))
-        best[self.shown] = -self._best(normal)[0] / self.lengths
+        best[self.shown] = -self._best(at.normal)[0] / self.lengths
         return best, root.T @ root
 
-    def _last(self, at: _Reduced, half: Floats, through: Floats, ahead: Floats) -> _Last:
-        """Return the columns of the remainder, the others being eliminated."""
+    def _last(self, at: _Reduced, half: Floats) -> tuple[Floats, Floats, Floats]:
+        """
+        Return the remainder's columns D through V^-1, the others X being eliminated.
+
+        X'V^-1 D (o, d), D'V^-1 D (d, d), and D'V^-1 [parameters, residual] (d, k + 1).
+        """
         crossed = self.own_last * at.shrunk  # (o, d)
         mine = at.factor @ crossed
-        more = at.shrunk[:, None] * self.more_last - mine.T @ through
+        more = at.shrunk[:, None] * self.more_last - mine.T @ at.through
         own = np.diag(self.size2 * at.shrunk) - mine.T @ mine
-        return _Last(crossed - half.T @ mine, own, more[:, :-1], more @ ahead)
+        return crossed - half.T @ mine, own, more
 
     def _root(self, m: Floats) -> Floats:
         """Return R (k, k), R'R the inverse of the normal matrix of the parameters."""
@@ -364,6 +342,9 @@ class RandomEffects:
         self.columns = np.hstack([columns[:, :0], *mixed])
         self.owners = np.repeat(np.arange(len(kinds)), [mix.shape[1] for mix in self.mixtures])
         self.few = np.array([kind.name in KINDS_WITH_FEW_MEMBERS for kind in kinds], dtype=bool)
+        is_last = bool(kinds) and kinds[-1].name == REMAINDER
+        self.remainder = len(kinds) - 1 if is_last else None  # which of the kinds it is
+        self.others = self.owners[self.owners < len(kinds) - is_last]  # of its columns: the first
         self._roots: dict[bytes, Floats] = {}  # of the last sizes
 
     @classmethod
@@ -378,42 +359,25 @@ class RandomEffects:
         return np.where(self.few, self.plausible, usual)
 
     @cached_property
-    def gram(self) -> Floats:
-        """Normal matrix (r, r) of the columns."""
-        return np.asarray(self.columns.T @ self.columns)
-
-    @cached_property
     def _basis(self) -> tuple[Floats, Floats]:
         """Orthonormal basis (N, d) of the columns, and the columns in it (d, r)."""
         basis, triangle = np.linalg.qr(self.columns)
         return basis, triangle
 
     @cached_property
-    def _last(self) -> tuple[Floats, Floats]:
-        """Columns (d, N) of the last kind, and their squared lengths (d,)."""
-        own = np.ascontiguousarray(self.columns[:, self.owners == len(self.kinds) - 1].T)
-        return own, (own * own).sum(axis=1)
+    def _last(self) -> Floats:
+        """Columns (d, N) of the remainder."""
+        return np.ascontiguousarray(self.columns[:, len(self.others) :].T)
 
     @cached_property
-    def parts(self) -> Columns:
-        """Products of the columns for the likelihood, independent of the sizes."""
-        last = [k for k, kind in enumerate(self.kinds) if kind.name == REMAINDER]
-        is_last = np.isin(self.owners, last)
-        others, d = np.flatnonzero(~is_last), np.flatnonzero(is_last)
-        owners = self.owners[others]
-        return Columns(
-            self.columns,
-            self.plausible,
-            self.together,
-            last[0] if last else None,
-            others,
-            d,
-            owners,
-            np.asarray(np.arange(len(self.kinds))[:, None] == owners, float),
-            self.gram[np.ix_(others, others)],
-            self.gram[np.ix_(others, d)],
-            np.diag(self.gram)[d],
-        )
+    def products(self) -> tuple[Floats, Floats, Floats]:
+        """Products (o, o) of the other columns, (o, d) with the remainder's, (d,) of its own."""
+        own, last = self.columns[:, : len(self.others)], self._last
+        return own.T @ own, own.T @ last.T, (last * last).sum(axis=1)
+
+    def around(self, prior: Prior) -> Floats:
+        """Return the sizes (K,) around which a prior lies; infinite where it is flat."""
+        return self.together if prior is Prior.LOGARITHMS else self.plausible
 
     def named(self, units: Floats, sizes: Floats) -> dict[str, Floats]:
         """Return the members by kind, without the remainder, from mixtures (r,) in units of sd."""
@@ -455,7 +419,7 @@ class RandomEffects:
         """Return the covariance (K, K) of the estimated variances; zero where a size is fixed."""
         known = np.flatnonzero((sizes > 0.0) & ~self.few)
         rows = len(self.columns)
-        work = Likelihood(self.parts, np.zeros(rows), np.zeros((rows, 0)), None)
+        work = Likelihood(self, np.zeros(rows), np.zeros((rows, 0)), None)
         information = work.slopes(sizes**2).information[np.ix_(known, known)]
         covariance = np.zeros((len(sizes), len(sizes)))
         covariance[np.ix_(known, known)] = 2.0 * np.linalg.pinv(information, hermitian=True)
@@ -471,7 +435,7 @@ class RandomEffects:
         by their likelihood and prior (importance sampling); always the same ones. A remainder
         keeps its size. The other arguments are those of `estimate`.
         """
-        work, v = Likelihood(self.parts, residual, slopes, weights, Prior.LOGARITHMS), sizes**2
+        work, v = Likelihood(self, residual, slopes, weights, Prior.LOGARITHMS), sizes**2
         free = np.flatnonzero(np.isfinite(self.plausible) & (sizes > 0.0))
         here, own = work.slopes(v), v[free]
         bend = here.curvature[np.ix_(free, free)] * np.outer(own, own)
@@ -496,9 +460,9 @@ class RandomEffects:
 
     def misfit(self, errors: Floats, sizes: Floats) -> float:
         """Return the chi² of errors (N,) under noise and remainder alone."""
-        own, length2 = self._last
+        length2 = self.products[2]
         gain = sizes[-1:] ** 2 * length2
-        along = (own @ errors) ** 2 / np.maximum(length2, 1e-300)
+        along = (self._last @ errors) ** 2 / np.maximum(length2, 1e-300)
         return float(errors @ errors - (along * gain / (1.0 + gain)).sum())
 
     def cost(self, members: Members, sizes: Floats) -> float:
@@ -566,16 +530,16 @@ class RandomEffects:
             where few members determine them. Values are told with `LOGARITHMS`.
 
         """
-        work = Likelihood(self.parts, residual, slopes, weights, prior)
+        work = Likelihood(self, residual, slopes, weights, prior)
         sizes = self.start if start is None else np.asarray(start, dtype=float)
-        around = self.together if prior is Prior.LOGARITHMS else self.plausible
+        around = self.around(prior)
         usual = np.where(np.isfinite(around), around, 0.0)
         fixed = self.few & (prior is Prior.SIZES)
         low = np.where(fixed, usual, NEGLIGIBLE * usual) ** 2
         high = np.where(fixed, usual, SIZE_MAX * around) ** 2
-        free = np.array([remainder or kind.name != REMAINDER for kind in self.kinds], dtype=bool)
-        allowed = np.array([kind.allowed for kind in self.kinds], dtype=float)
-        low, high = np.where(free, low, 0.0), np.where(free, high, allowed**2)
+        if not remainder and self.remainder is not None:
+            low[self.remainder] = 0.0
+            high[self.remainder] = self.kinds[self.remainder].allowed ** 2
         v = np.clip(sizes**2, low, high)
         cost, offset = work.deviance(v), self._log_offset
         for _ in range(STEPS_MAX):
@@ -605,9 +569,10 @@ class RandomEffects:
 
         The variance of the remainder may be zero; that of the other kinds may not.
         """
-        own = np.array([kind.name == REMAINDER for kind in self.kinds], dtype=bool)
-        shows = np.sqrt(np.square(self.parts.size2).sum())
-        return np.where(own & (shows > 0.0), 1.0 / max(shows, 1e-300), 0.0)
+        offset, shows = np.zeros(len(self.kinds)), np.linalg.norm(self.products[2])
+        if self.remainder is not None and shows > 0.0:
+            offset[self.remainder] = 1.0 / shows
+        return offset
 
 
 def _mixture(columns: Floats, plausible: float) -> Floats:

@@ -55,12 +55,6 @@ class Noise:
     shift: float = 0.0
 
 
-def input_steps(dataset: DataSet, inputs: Floats) -> Floats:
-    """Step (P, m) of the inputs that carries their noise through the model: about one sd."""
-    relative = np.hypot(dataset.setting_noise, dataset.trial_noise) or 0.005
-    return np.asarray(relative * np.abs(np.nan_to_num(inputs)))
-
-
 def input_slopes(predictor: Predictor, point: Point) -> Floats:
     """
     Return the displacement of markers by relative changes of the inputs, (P, m, J, 3) [m].
@@ -74,7 +68,9 @@ def input_slopes(predictor: Predictor, point: Point) -> Floats:
     declared = dataset.setting_noise > 0.0 or dataset.trial_noise > 0.0
     if not declared and dataset.trials.max(initial=0) == 1:
         return slopes
-    steps = input_steps(dataset, inputs)
+    relative = np.hypot(dataset.setting_noise, dataset.trial_noise) or 0.005
+    sizes = np.abs(np.nan_to_num(inputs))
+    steps = relative * sizes
     for j in range(inputs.shape[1]):
         side = []
         for sign in (1.0, -1.0):
@@ -84,8 +80,7 @@ def input_slopes(predictor: Predictor, point: Point) -> Floats:
         if side[0] is None or side[1] is None:
             continue
         width = np.where(steps[:, j] > 0.0, 2.0 * steps[:, j], np.inf)
-        scale = np.abs(np.nan_to_num(inputs[:, j])) / width
-        slopes[:, j] = (side[0] - side[1]) * scale[:, None, None]
+        slopes[:, j] = (side[0] - side[1]) * (sizes[:, j] / width)[:, None, None]
     return slopes
 
 
@@ -127,7 +122,8 @@ class Whitener:
         by_inputs = np.square(slopes).sum(axis=1).reshape(counts.shape)
         total = (noise.position**2 + noise.shift**2) / counts
         total += (noise.setting**2 + noise.trial**2 / counts) * by_inputs
-        self.variance = [one[visible] for one, visible in zip(total, self._visible, strict=True)]
+        seen = np.where(self._visible, total, np.nan)
+        self.variance = seen.reshape(dataset.mean.shape)  # (P, J, 3) [m²] by noise; NaN: not seen
 
     @cached_property
     def _factors(self) -> tuple[Floats, Floats, Floats]:
@@ -135,11 +131,6 @@ class Whitener:
         blocks = covariances(*self._noise) + _model_errors(*self._errors)
         root, logs = _factored(blocks, self._visible)
         return np.linalg.inv(root), logs, root
-
-    @cached_property
-    def rows(self) -> list[npt.NDArray[np.intp]]:
-        """Indices of the visible (marker, coordinate) pairs of each posture."""
-        return [np.flatnonzero(visible) for visible in self._visible]
 
     @property
     def size(self) -> int:
@@ -182,8 +173,7 @@ class Whitener:
 
     def floor(self) -> float:
         """Return the expected rms [m] of the distance for a perfect model, setting noise too."""
-        total = sum(float(variance.sum()) for variance in self.variance)
-        return float(np.sqrt(3.0 * total / max(self.size, 1)))
+        return float(np.sqrt(3.0 * np.nansum(self.variance) / max(self.size, 1)))
 
 
 def covariances(dataset: DataSet, noise: Noise, slopes: Floats) -> Floats:
@@ -199,21 +189,12 @@ def covariances(dataset: DataSet, noise: Noise, slopes: Floats) -> Floats:
     trials = weights.swapaxes(1, 2) @ weights  # (P, J, J) of what is new in every trial
     flat = slopes.reshape(P, -1, 3 * J)
     by_inputs = flat.swapaxes(1, 2) @ flat
-    blocks = _each_coordinate(noise.setting**2 + noise.trial**2 * trials) * by_inputs
-    blocks += _each_coordinate(noise.shift**2 * trials) * _same_coordinate(J)
+    every, same = np.ones((1, 3, 3)), np.eye(3)[None]  # of two coordinates
+    blocks = np.kron(noise.setting**2 + noise.trial**2 * trials, every) * by_inputs
+    blocks += np.kron(noise.shift**2 * trials, same)
     diagonal = np.arange(3 * J)
     blocks[:, diagonal, diagonal] += noise.position**2 / np.repeat(counts, 3, axis=1)
     return np.asarray(blocks)
-
-
-def _each_coordinate(blocks: Floats) -> Floats:
-    """Return (..., 3 J, 3 J) from blocks (..., J, J), the same for every two coordinates."""
-    return np.repeat(np.repeat(blocks, 3, axis=-2), 3, axis=-1)
-
-
-def _same_coordinate(markers: int) -> Floats:
-    """Return ones (3 J, 3 J) where two values are along the same axis, else zeros."""
-    return np.tile(np.eye(3), (markers, markers))
 
 
 def _model_errors(dataset: DataSet, accuracy: float | Floats, rough: float | Floats) -> Floats:
@@ -236,7 +217,7 @@ def common_error(dataset: DataSet, accuracy: float) -> Floats:
     """Covariance of an error of one posture that grows along the arm up to `accuracy` [m]."""
     height = dataset.arc_lengths / dataset.robot.length
     shared = accuracy**2 / 3.0 * np.minimum.outer(height, height)
-    return np.asarray(_each_coordinate(shared) * _same_coordinate(len(height)))
+    return np.asarray(np.kron(shared, np.eye(3)))
 
 
 def relative_error(known: float, tips: Floats) -> float:

@@ -216,24 +216,12 @@ class Predictor:
         self.settled: SettledShapes | None = None  # of the last prediction
         self._first: SettledShapes | None = None
 
-    @contextmanager
-    def as_described(self) -> Iterator[None]:
-        """Predict without imperfections while the block runs."""
-        around, self.around = self.around, {}
-        try:
-            yield
-        finally:
-            self.around = around
-
     def value(self, free: FreeParameter) -> float:
         """Value that the description gives a parameter (neutral where it is not listed)."""
         if free.effect not in self.model.catalogue:
             return 0.0
-        return float(
-            self._values[
-                self.model.arrays.layout.rows[free.effect, free.parameter.name], free.column or 0
-            ]
-        )
+        row = self.model.arrays.layout.rows[free.effect, free.parameter.name]
+        return float(self._values[row, free.column or 0])
 
     def start(self, free: FreeParameter) -> float:
         """Value in the description, moved inside the bounds of a fit."""

@@ -33,7 +33,7 @@ from .noise import Noise, Whitener, estimate_noise, input_slopes, relative_error
 from .outliers import Outliers, find_outliers, without_unsettled
 from .predict import CELLS, Point, Predictor
 from .repeats import Repeats, repeats
-from .statistics import TIE_SCORE
+from .statistics import TIE_SCORE, mean_over
 
 # [1] postures of a long recording that fits use, because a fit takes its time for each, and the
 # errors of more are alike
@@ -58,7 +58,8 @@ def race(
     descents, fits = dict[int, Descent](), dict[int, Fit]()
     for i, candidate in enumerate(candidates):
         try:
-            descents[i] = fitter.begin(candidate.frees, starts.get(candidate.label))
+            search = fitter.search(candidate.frees, starts.get(candidate.label))
+            descents[i] = Descent(fitter, search)
         except FAILURES:
             done()
 
@@ -288,8 +289,8 @@ class Session(Question):
         whole, (predictor, markers) = self.whole, self.described
         if markers is None or whole.path != 'sequence':
             return None
-        blocks = Whitener(whole, self.noise, input_slopes(predictor, {})).variance
-        noise = 3.0 * np.array([block.mean() if len(block) else 0.0 for block in blocks])
+        variance = Whitener(whole, self.noise, input_slopes(predictor, {})).variance
+        noise = 3.0 * np.nan_to_num(mean_over(variance.reshape(len(variance), -1), 1))
         return repeats(whole, whole.mean - markers, noise, POSTURES_MAX)
 
     def rank(self, candidate: Candidate, fit: Fit) -> Ranked:
