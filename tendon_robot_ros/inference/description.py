@@ -31,6 +31,9 @@ ROUTES = 'tendon_routes'  # of the description: every tendon turned about the ax
 ANGLE_MAX = 1.0  # [rad] at the base, and to the tip, else a tendon would be its neighbour
 ANGLE_TYPICAL = 0.03  # [rad] 2°, because holes are drilled to a few tenths of a millimetre
 OF_THE_ARM = (PROFILE, ROUTES)
+DIGITS_OF_THE_ARM = (
+    9  # [1] of what is written, because errors are told of the arm as it was fitted
+)
 
 
 def with_values(
@@ -78,19 +81,13 @@ def with_tolerances(robot: Robot, catalogue: Catalogue, fit: Fit) -> Robot:
     return with_values(robot, catalogue, moved)
 
 
-def with_cells(robot: Robot, changes: Floats) -> Robot:
-    """Return a description whose cells are stiffer by relative changes (n,)."""
-    ends = np.cumsum([section.cells for section in robot.sections])
+def with_cells(robot: Robot, factors: Floats, digits: int = 6) -> Robot:
+    """Return a description whose cells are stiffer by factors (n,)."""
+    stiffness = np.concatenate([section.bending_stiffness for section in robot.sections])
+    values = [_short(value, digits) for value in (stiffness * factors).tolist()]
+    ends = np.cumsum([section.cells for section in robot.sections]).tolist()
     sections = tuple(
-        replace(
-            section,
-            bending_stiffness=tuple(
-                _short(k * (1.0 + change))
-                for k, change in zip(
-                    section.bending_stiffness, changes[end - section.cells : end], strict=True
-                )
-            ),
-        )
+        replace(section, bending_stiffness=tuple(values[end - section.cells : end]))
         for section, end in zip(robot.sections, ends, strict=True)
     )
     return replace(robot, sections=sections)
@@ -113,7 +110,7 @@ def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
     values = fit.members
     if not fit.as_built:
         return robot
-    robot = with_cells(robot, values.get(CELLS, np.zeros(robot.cells)))
+    robot = with_cells(robot, 1.0 + values.get(CELLS, np.zeros(robot.cells)))
     scale = np.ones(len(robot.tendons))
     if input == 'tension':
         for change, members in zip(values.get(GAIN, ()), robot.input_tendons, strict=False):
@@ -160,12 +157,12 @@ def wound(robot: Robot, members: dict[str, Floats]) -> Robot:
     return robot
 
 
-def _scaled(offset: tuple[float, float], factor: float) -> tuple[float, float]:
-    return (_short(offset[0] * factor), _short(offset[1] * factor))
+def _scaled(offset: tuple[float, float], factor: float, digits: int = 6) -> tuple[float, float]:
+    return (_short(offset[0] * factor, digits), _short(offset[1] * factor, digits))
 
 
-def _short(value: float) -> float:
-    return float(f'{value:.6g}')
+def _short(value: float, digits: int = 6) -> float:
+    return float(f'{value:.{digits}g}')
 
 
 class DescribedArm(Predictor):
@@ -187,8 +184,7 @@ class DescribedArm(Predictor):
     ) -> None:
         """Set the parameters of the model, and the arm itself; see `Predictor.set_parameters`."""
         effects = {free: v for free, v in point.items() if free.effect not in OF_THE_ARM}
-        profile = [v for free, v in point.items() if free.effect == PROFILE]
-        if profile:
+        if profile := profile_of(point):
             own = profile_factors(profile, self.robot)
             stiffness = own if stiffness is None else own * stiffness
         super().set_parameters(effects, part, stiffness)
@@ -221,6 +217,11 @@ def may_wind(robot: Robot) -> bool:
     return not any(tendon.offsets for tendon in robot.tendons)
 
 
+def profile_of(point: Point) -> list[float]:
+    """Return the coefficients of the stiffness along the arm that a point has."""
+    return [value for free, value in point.items() if free.effect == PROFILE]
+
+
 def profile_factors(coefficients: Sequence[float], robot: Robot) -> Floats:
     """Return a factor (n,) on the stiffness of every cell: exp of a Legendre polynomial."""
     lengths = robot.cell_lengths
@@ -237,8 +238,6 @@ def rerouted(robot: Robot, point: Point) -> Robot:
     }
     tendons = [*robot.tendons]
     for i, tendon in enumerate(robot.tendons):
-        if (i, 'turn') not in change and (i, 'helix') not in change:
-            continue
         turn = change.get((i, 'turn'), 0.0)
         c, s = math.cos(turn), math.sin(turn)
         base, end = ((c * x - s * y, s * x + c * y) for x, y in (tendon.base, tendon.end))
@@ -253,29 +252,22 @@ def arm_with(robot: Robot, point: Point) -> Robot:
         tendons = tuple(
             replace(
                 t,
-                base=(_exact(t.base[0]), _exact(t.base[1])),
-                end=(_exact(t.end[0]), _exact(t.end[1])),
-                helix=_exact(t.helix),
+                base=_scaled(t.base, 1.0, DIGITS_OF_THE_ARM),
+                end=_scaled(t.end, 1.0, DIGITS_OF_THE_ARM),
+                helix=_short(t.helix, DIGITS_OF_THE_ARM),
             )
             for t in rerouted(robot, point).tendons
         )
         robot = replace(robot, tendons=tendons)
-    profile = [value for free, value in point.items() if free.effect == PROFILE]
+    profile = profile_of(point)
     if not profile:
         return robot
-    factors = profile_factors(profile, robot)
-    ends = np.cumsum([section.cells for section in robot.sections])
-    sections = []
-    for section, end in zip(robot.sections, ends, strict=True):
-        own = zip(section.bending_stiffness, factors[end - section.cells : end], strict=True)
-        stiffness = tuple(_exact(k * factor) for k, factor in own)
-        sections.append(replace(section, bending_stiffness=stiffness))
-    return replace(robot, sections=tuple(sections))
+    return with_cells(robot, profile_factors(profile, robot), DIGITS_OF_THE_ARM)
 
 
 def stiffness_change(robot: Robot, point: Point) -> tuple[float, ...]:
     """Return the relative change of the stiffness at base, middle and tip [1]; else nothing."""
-    profile = [value for free, value in point.items() if free.effect == PROFILE]
+    profile = profile_of(point)
     change = profile_factors(profile, robot) - 1.0
     return tuple(change[[0, len(change) // 2, -1]].tolist()) if profile else ()
 
@@ -293,7 +285,3 @@ def route_changes(point: Point) -> dict[str, tuple[float, float]]:
 def _winding(robot: Robot) -> Robot:
     tendons = (t if t.helix else replace(t, helix=1e-6) for t in robot.tendons)
     return replace(robot, tendons=tuple(tendons))
-
-
-def _exact(value: float) -> float:
-    return float(f'{value:.9g}')
