@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 from scipy import special
+from scipy.optimize import minimize_scalar
 
 from ..common.arrays import Floats
 
@@ -98,20 +99,11 @@ def false_discovery_control(p: Floats) -> Floats:
 def minimum(
     cost: Callable[[float], float], low: float, high: float, precision: float
 ) -> tuple[float, float]:
-    """Return the minimiser and minimum of a unimodal function (golden-section search)."""
-    golden = 0.5 * (math.sqrt(5.0) - 1.0)
-    lower, upper = high - golden * (high - low), low + golden * (high - low)
-    cost_lower, cost_upper = cost(lower), cost(upper)
-    while high - low > precision:
-        if cost_lower <= cost_upper:
-            high, upper, cost_upper = upper, lower, cost_lower
-            lower = high - golden * (high - low)
-            cost_lower = cost(lower)
-        else:
-            low, lower, cost_lower = lower, upper, cost_upper
-            upper = low + golden * (high - low)
-            cost_upper = cost(upper)
-    return (lower, cost_lower) if cost_lower <= cost_upper else (upper, cost_upper)
+    """Return the minimiser and minimum of a unimodal function between two bounds (Brent)."""
+    found = minimize_scalar(
+        cost, bounds=(low, high), method='bounded', options={'xatol': precision}
+    )
+    return float(found.x), float(found.fun)
 
 
 @dataclass(frozen=True)
