@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,11 +24,13 @@ from ..cli.options import declare, emit, progress
 from ..common.colours import line_style
 from ..common.errors import InputError, Progress
 from ..common.files import new_folder
-from ..common.words import capital, columns, digits, mm
+from ..common.words import capital, columns, digits, listed, mm
 from ..comparison.result import Comparison
 from ..data import DataSet
+from ..diagnosis.result import Diagnosis
 from ..inference.statistics import half_width
 from ..report import comparison as say
+from ..report import diagnosis_text
 from ..report.error_plots import angles, tip_boxes
 from ..report.page import (
     Figure,
@@ -255,8 +258,8 @@ ASSUMED = (  # what | assumed | why
     'scatter of the cells | 2° of every prototype, 1° from trial to trial | '
     '2° is published; what varies between trials is not',
     'hand and camera | 0.1 mm of wire pull, 0.09 mm of position | caliper; a pixel',
-    'IV.D | tensions vary by 2 %, markers by 1 mm from trial to trial | weights behind pulleys; '
-    'nothing is printed',
+    'IV.D | tensions known to 5 %, 2 % and 1 mm from trial to trial, friction to 10 %, stiffness '
+    'to 5 % | weights behind pulleys; nothing is printed',
     '2:1 prototype | one section of 60 mm, 30 cells, arm 1.3 mm | twice the target scale',
 )
 
@@ -358,6 +361,18 @@ def add_motion(page: Page, experiment: MotionExperiment) -> None:
 def add_displacement(page: Page, experiment: DisplacementExperiment) -> None:
     """Add section IV.C."""
     page.heading('IV.C Posture by wire pull (figures 12 to 15)')
+    header = ('arrangement', 'arm', 'proximal / distal pull', 'tip z', 'FKM to PCCA')
+    cells = []
+    for one in experiment.others:
+        two = list(one.pair.indices)
+        texts = (
+            ', '.join(f'{1e3 * a:.1f} / {1e3 * b:.1f}' for a, b in one.pulls[:, two]),
+            ', '.join(f'{1e3 * z:.0f}' for z in one.tips[:, 2]),
+            ', '.join(f'{1e3 * d:.1f}' for d in one.apart),
+            ' to '.join(f'{1e3 * d:.1f}' for d in one.everywhere),
+        )
+        cells.append([one.pair.kind, mm(one.arm, 2), *(f'{text} mm' for text in texts)])
+    page.table((*header, 'at all heights'), cells, left=(2, 3, 4))
     low, high = experiment.heights.everywhere
     page.text(
         'The published errors (5.9 and 23.7 mm) require 17.8 to 29.6 mm between the tips of FKM '
@@ -390,6 +405,30 @@ def add_tension(page: Page, experiment: TensionExperiment) -> None:
         f'PCCA predicts the same shape for 0.51 N alone and for 0.99 against 0.48 N (apart by '
         f'{1e3 * experiment.same:.2f} mm), as published.'
     )
+    title = 'What diagnose says about these two postures'
+    page.box(diagnosis_lines(experiment.alone), 'warn', title)
+    for i, one in enumerate(experiment.more):
+        title = 'With the posture that it asks for' if i == 0 else 'And with the next one'
+        page.box(diagnosis_lines(one), '', title)
+    redrawn = experiment.redrawn
+    ends = Counter(f'{one.verdict} ({listed(e.name for e in one.effects)})' for one in redrawn)
+    page.text(
+        f'The same with {len(redrawn)} other draws of the noise ends '
+        f'{listed(f"{count} times {end}" for end, count in ends.items())}. "adequate": the '
+        'declared uncertainties of tension, friction and stiffness cover the error, and nothing '
+        'is asked for.'
+    )
+
+
+def diagnosis_lines(diagnosis: Diagnosis) -> list[str]:
+    """Describe the diagnosis of the two postures, and the posture that it proposes."""
+    error, floor = mm(diagnosis.error_before), mm(diagnosis.noise_floor)
+    lines = [
+        *diagnosis_text.verdict(diagnosis).split('\n'),
+        f'Error {error} before, {mm(diagnosis.error_after)} with the best effect, {floor} for a '
+        'perfect model.',
+    ]
+    return [*lines, *filter(None, [diagnosis_text.next_measurement(diagnosis)])]
 
 
 def add_small(page: Page, small: SmallExperiment) -> None:

@@ -63,6 +63,7 @@ class Assumed:
     # tendons that together have a fraction of a cell's stiffness: "smaller by at least one order"
     TENDONS, STIFFNESS_FRACTION = 6, 0.1
     # section IV.C
+    MOMENT_ARMS_M = (5.0e-3, 5.5e-3, 6.0e-3)
     TRIAL_SCATTERS_RAD = (0.0, float(np.radians(1.0)), float(np.radians(2.0)))  # the middle one
     CALIPER_SD_M = 0.1e-3  # 1 sd of a wire pull that is set by hand
     CLEAR_PULL_M = 0.5e-3  # 5 sd: a proximal pull nearer to straight may end in an S-shape
@@ -71,9 +72,17 @@ class Assumed:
     # section IV.D
     HINGE_LEVER_M = 0.40e-3  # of the 10:1 prototype, so that the errors of IV.D come out
     LEVER_FACTORS = (0.875, 0.9375, 1.0, 1.0625, 1.125)  # 0.35 to 0.45 mm: what is left open
-    # 1 mm from trial to trial, as scattered cells make; weights behind pulleys; what was set is
-    # exact here, so that the errors are those of the models
+    # 1 mm from trial to trial, as scattered cells make; weights behind pulleys, known to 5 % as
+    # declared; what was set is exact here, so that the errors are those of the models
     NOISE = SimulatedNoise(position=1e-3, setting=0.0, trial=0.02)
+    SETTING_NOISE = 0.05
+    # 1 sd, declared
+    TOLERANCES: ClassVar[dict[str, float]] = {
+        'friction_coefficient': 0.1,
+        'bending_stiffness': 0.05,
+    }
+    NOISE_DRAWS = 4  # repetitions with other noise: how much of the end is chance
+    DIAGNOSIS_ROUNDS = 3  # postures at most that are measured because a diagnosis proposes them
     # section IV.E, of the 2:1 prototype, whose outer radius is 1.7 mm
     SMALL_ARMS_M = (1.0e-3, 1.15e-3, 1.3e-3, 1.45e-3, 1.6e-3)
     CELL_COUNTS = (15, 30, 60)  # around the 30 that are published of another prototype

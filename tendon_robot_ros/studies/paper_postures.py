@@ -2,11 +2,12 @@
 Postures by wire pull and by tension, simulated.
 
 Section IV.C: three tip heights at the 180° view. Section IV.D: one tendon and an antagonistic
-pair. Section IV.E: a bend of 90°.
+pair, and what they can tell. Section IV.E: a bend of 90°.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
@@ -18,6 +19,8 @@ from ..common.errors import InputError
 from ..comparison.compare import compare
 from ..comparison.result import Comparison
 from ..data import DataSet, default_markers
+from ..diagnosis.diagnose import diagnose
+from ..diagnosis.result import Diagnosis
 from ..model.model import Model
 from ..robot import Robot
 from ..simulation.measurements import simulate
@@ -33,6 +36,9 @@ HINGE_MODEL = 'FKM + hinge friction'
 class Heights:
     """Wire pulls for three tip heights at 180°, and how far FKM and PCCA are apart there."""
 
+    pair: Pair
+    arm: float  # [m]
+    tensions: Floats  # (3, m) [N] by the FKM
     pulls: Floats  # (3, m) [m], NaN = no wire
     tips: Floats  # (3, 3) [m] by the FKM
     apart: Floats  # (3,) [m] between the tips of FKM and PCCA
@@ -56,15 +62,20 @@ class DisplacementExperiment:
     """Section IV.C, simulated on a planar robot of two sections as its owner describes it."""
 
     def __init__(self, robot: Robot) -> None:
-        opposite = next(pair for pair in pairs_of(robot) if pair.kind == 'opposite sides')
-        heights = find_heights(robot, opposite)
+        pairs = {pair.kind: pair for pair in reversed(pairs_of(robot))}
+        heights = find_heights(robot, pairs['opposite sides'])
         if heights is None:
             raise InputError(
                 f'{robot.source}: no posture at the 180° view with wires on opposite sides; '
                 'raise the tension limits'
             )
         self.heights = heights
-        plant = prototype(robot)
+        others = [
+            find_heights(with_arm(robot, arm), pair)
+            for pair, arm in product(pairs.values(), Assumed.MOMENT_ARMS_M)
+        ]
+        self.others = [one for one in others if one is not None]  # arrangements and arms
+        plant = prototype(robot, 0)
         settled = plant.shapes(heights.pulls, displacement=True).tip_position
         # [m] largest tip shift that the hinge friction makes at these pulls
         self.hinge_shift = float(np.linalg.norm(settled - heights.tips, axis=1).max())
@@ -106,6 +117,9 @@ def find_heights(robot: Robot, pair: Pair) -> Heights | None:
     pulls = np.full((3, len(fkm.inputs)), np.nan)
     pulls[:, list(pair.indices)] = shapes.pulls[chosen][:, list(pair.indices)]
     return Heights(
+        pair=pair,
+        arm=abs(robot.tendons[0].base[0]),
+        tensions=tensions[chosen],
         pulls=pulls,
         tips=shapes.tip_position[chosen],
         apart=apart[chosen],
@@ -209,12 +223,12 @@ class TensionExperiment:
     """
     Section IV.D, simulated on a robot of one section with inputs left and right.
 
-    Trials under tension against the models.
+    Trials under tension against the models, and their diagnoses.
     """
 
     def __init__(self, robot: Robot) -> None:
-        lever = Assumed.HINGE_LEVER_M
-        self.data = measured(robot)
+        robot, lever = replace(robot, tolerances=Assumed.TOLERANCES), Assumed.HINGE_LEVER_M
+        self.data = measured(robot, Published.POSTURES_N, 0)
         # FKM, PCCA, FKM + hinge friction; the two postures, as published
         self.comparison = compare(self.data, models_of(robot, lever), error='sem', leave_out=False)
         self.largest = {  # [m] error, by posture and model
@@ -228,24 +242,32 @@ class TensionExperiment:
         )
         one, two = Model(pcca(robot)).shapes([*Published.POSTURES_N.values()]).tip_position
         self.same = float(np.linalg.norm(one - two))  # [m] between PCCA's tips
+        # of the two postures; then with the posture that the diagnosis before proposes
+        self.alone, *self.more = diagnose_and_measure(robot, 0)
+        # where that ends with other noise
+        self.redrawn = [
+            diagnose_and_measure(robot, seed)[-1] for seed in range(1, 1 + Assumed.NOISE_DRAWS)
+        ]
 
 
-def measured(robot: Robot) -> DataSet:
-    """Simulate ten trials of both postures of the prototype that has friction in its hinges."""
+def measured(robot: Robot, postures: Mapping[str, tuple[float, ...]], seed: int) -> DataSet:
+    """Simulate ten trials of postures [N] of the prototype that has friction in its hinges."""
+    plant = prototype(robot, seed)
     data = simulate(
-        prototype(robot),
-        [*Published.POSTURES_N.values()],
+        plant,
+        [*postures.values()],
         noise=Assumed.NOISE,
         trials=Published.TRIALS,
-        postures=tuple(Published.POSTURES_N),
+        seed=seed,
+        postures=tuple(postures),
     )
-    return replace(data, name='section IV.D, simulated')
+    return replace(data, name='section IV.D, simulated', setting_noise=Assumed.SETTING_NOISE)
 
 
-def prototype(robot: Robot) -> Plant:
+def prototype(robot: Robot, seed: int) -> Plant:
     """Return the simulated prototype, which has friction in its hinges."""
     hidden = {'hinge_friction': {'lever': Assumed.HINGE_LEVER_M}}
-    return make_plant(robot, hidden, scatter=0.0)
+    return make_plant(robot, hidden, scatter=0.0, seed=seed)
 
 
 def models_of(robot: Robot, lever: float) -> list[tuple[str, Robot]]:
@@ -264,6 +286,18 @@ def errors_of_lever(robot: Robot, lever: float) -> dict[tuple[str, str], float]:
         for name, model in cells.items()
         for p, posture in enumerate(Published.POSTURES_N)
     }
+
+
+def diagnose_and_measure(robot: Robot, seed: int) -> list[Diagnosis]:
+    """Diagnose the published postures, and again with those that the diagnoses propose."""
+    postures: dict[str, tuple[float, ...]] = dict(Published.POSTURES_N)
+    diagnoses = [diagnose(measured(robot, postures, seed))]
+    while len(diagnoses) <= Assumed.DIAGNOSIS_ROUNDS and diagnoses[-1].next_measurement:
+        following = diagnoses[-1].next_measurement.input
+        inputs = tuple(following[name] for name in robot.inputs)
+        postures[f'asked for {len(diagnoses)}'] = inputs
+        diagnoses.append(diagnose(measured(robot, postures, seed)))
+    return diagnoses
 
 
 class Gap(NamedTuple):
