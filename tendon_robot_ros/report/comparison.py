@@ -17,7 +17,7 @@ from ..data.dataset import at_rest
 from ..diagnosis.verdict import SAME_ERROR_RATIO
 from ..inference.statistics import Estimate, PairedT
 from ..model.shape import bending_azimuth, views_of
-from .error_plots import angles, loops, per_marker, per_posture, tip_boxes
+from .error_plots import Step, angles, loops, per_marker, per_posture, staircase, tip_boxes
 from .page import (
     HEIGHTS_PX,
     Figure,
@@ -192,6 +192,7 @@ def comparison_page(comparison: Comparison) -> Page:
     page.text(*(f'{capital(line)}.' for line in excluded))
     page.heading('Where the models are off')
     figures = [per_marker(comparison), per_posture(comparison), tip_boxes(comparison)]
+    figures.append(staircase(steps(comparison), 'Models and noise floor'))
     page.figures(figures, 'two')
     add_loops(page, comparison)
     add_shapes(page, comparison)
@@ -213,6 +214,15 @@ def add_verdict(page: Page, comparison: Comparison) -> None:
         'over postures and markers. The tip error is the distance at the last marker, trial by '
         'trial: the mean over the trials of a posture, then over the postures.'
     )
+
+
+def steps(comparison: Comparison) -> list[Step]:
+    """Return the errors of the models as steps, the largest first, down to the noise floor."""
+    models = enumerate(comparison.models)
+    steps = [Step(one.name, one.rms, line_style(i).colour) for i, one in models]
+    steps.sort(key=lambda step: -step.error)
+    floor = comparison.noise_floor
+    return [*steps, Step('noise floor', floor, FLOOR)] if floor is not None else steps
 
 
 def add_loops(page: Page, comparison: Comparison) -> None:

@@ -24,7 +24,7 @@ from . import diagnosis_text
 from .comparison import Push, add_loops, add_shapes
 from .diagnosis_text import next_measurement, trust_lines
 from .error_plots import Step, heat_maps, moments, per_marker, per_posture, staircase
-from .page import Page
+from .page import HEIGHTS_PX, Page
 from .sentences import quantities, where_wrong
 
 BEFORE = 'as described'
@@ -175,7 +175,7 @@ def add_staircase(page: Page, diagnosis: Diagnosis, addition: Addition | None) -
             for step in falling(one.before, one.alone, one.after, one.floor, GROUPS[one.kind])
         ]
         page.text(*map(capital, diagnosis_text.addition_warnings(addition)))
-    page.figures([staircase(steps)])
+    page.figures([staircase(steps, height=HEIGHTS_PX['low'])])
 
 
 def falling(

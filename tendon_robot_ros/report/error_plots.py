@@ -182,7 +182,9 @@ def loops(comparison: Comparison) -> list[Figure]:
     return [figure for _, figure in figures[: Shown.FIGURES]]
 
 
-def staircase(steps: Sequence[Step]) -> Figure:
+def staircase(
+    steps: Sequence[Step], title: str = '', height: int = HEIGHTS_PX['normal']
+) -> Figure:
     """Errors that fall step by step towards the noise floor; groups beside each other."""
     groups = list(dict.fromkeys(step.group for step in steps))
     data: list[Trace] = []
@@ -207,7 +209,7 @@ def staircase(steps: Sequence[Step]) -> Figure:
         bargap=0.35 if len(groups) == 1 else 0.12,
         margin={'l': 56, 'r': 16, 't': 30, 'b': 44},
     )
-    return Figure(data, layout, height=HEIGHTS_PX['low'])
+    return Figure(data, layout, title, '', height)
 
 
 def _error_axis(comparison: Comparison, title: str) -> dict[str, Any]:
