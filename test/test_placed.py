@@ -188,6 +188,19 @@ def test_the_measured_arm_is_where_the_markers_that_were_seen_say():
     assert np.linalg.norm(whole - without_tip, axis=2).max() < 0.3 * pushed_by
 
 
+def test_the_measured_arm_is_the_same_in_whatever_frame_the_tracker_sees_it():
+    frame = {'rotation_x': 0.3, 'rotation_y': 0.9, 'rotation_z': -0.5, 'shift_x': 0.01}
+    wall = dict(zip(FACES, WALLS['planar'], strict=True))
+    robot, screens = simulated.robot(cells=5, exact=True), []
+    for seen in (robot, robot.with_effect('base_misalignment', frame)):
+        dataset = simulated.measured(seen, {'contact': wall}, count=6)
+        session = Question.of(dataset, seen, simulated.CATALOGUE).weigh({})
+        screens.append(Screen.of(session.fitter, session.base_fit()))
+    plain, turned = screens
+    pushed_by = np.linalg.norm(plain.measured - plain.free, axis=2).max()
+    assert np.linalg.norm(turned.measured - plain.measured, axis=2).max() < 0.1 * pushed_by
+
+
 def test_what_pushes_the_arm_is_told_with_the_effects_beside_it():
     wall = dict(zip(FACES, (40.0, 0.035, math.pi, 0.0), strict=True))
     described = simulated.robot(cells=5, exact=True).with_effect('contact', wall)

@@ -22,6 +22,7 @@ from ..inference.imperfections import BEND_MAX_RAD
 from ..inference.predict import Predictor
 from ..model.shape import ShapeBatch
 from ..robot import Robot
+from .placed import in_base_frame
 
 BLOCKS_PER_SECTION = 3  # [1] because bends of single cells drown in the noise of markers
 BEND_MIN = 1e-3  # [rad] of a cell, else rounding would be its direction
@@ -70,8 +71,7 @@ def missing_moment(
     edges = blocks_of(robot, len(dataset.markers))
     below = robot.plate_cells
     sd = np.sqrt(measured.floor / 3.0)
-    seen = predictor.model.measured(np.vstack([np.eye(3), np.zeros(3)]))  # by a turned tracker
-    missed = (measured.mean - markers) @ np.linalg.inv(seen[:3] - seen[3])  # in the base frame
+    missed = in_base_frame(predictor, measured.mean - markers)
     fits = [arm.fit(p, missed[p], sd[p], edges) for p in range(len(sd))]
     bend, spread = np.array(fits).swapaxes(0, 1)
     spread = np.where(spread < BEND_MAX_RAD, spread, np.nan)

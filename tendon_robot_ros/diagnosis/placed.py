@@ -68,7 +68,8 @@ class Screen:
             free[:, part.rows] = shapes.of(predictor.last_visits(part)).positions.swapaxes(0, 1)
         order = np.argsort(dataset.arc_lengths)
         arcs = np.append(0.0, dataset.arc_lengths[order])
-        off = np.insert((dataset.mean - markers)[:, order], 0, 0.0, axis=1)  # (P, 1 + J, 3) [m]
+        missed = in_base_frame(predictor, dataset.mean - markers)
+        off = np.insert(missed[:, order], 0, 0.0, axis=1)  # (P, 1 + J, 3) [m]
         seen = zip(off, np.isfinite(off).all(axis=2), strict=True)
         moved = np.array(
             [[np.interp(arc_lengths, arcs[own], row) for row in one[own].T] for one, own in seen]
@@ -155,6 +156,12 @@ class Screen:
             rows.append((float((gain**2 / np.maximum(weight, 1e-300)).sum()), flat))
         for _, start in sorted(rows, key=lambda row: -row[0]):
             yield start
+
+
+def in_base_frame(predictor: Predictor, vectors: Floats) -> Floats:
+    """Return vectors (..., 3) in the robot's base frame that a turned tracker sees otherwise."""
+    seen = predictor.model.measured(np.vstack([np.eye(3), np.zeros(3)]))
+    return vectors @ np.linalg.inv(seen[:3] - seen[3])
 
 
 def directions() -> Floats:
