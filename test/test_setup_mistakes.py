@@ -295,6 +295,14 @@ def test_a_dead_load_cell_is_given_what_it_read_beside_a_load(limp):
     assert off[1] < 0.2 * off[0]
 
 
+def test_an_explanation_is_as_good_from_more_trials_as_from_one():
+    dataset = measured(simulated.robot(cells=4), {'tip_load': {'force_x': 2e-3}}, count=4)
+    once = replace(dataset, positions=dataset.mean[:, None], trial_inputs=None, trial_names=())
+    thrice = replace(once, positions=np.repeat(once.positions, 3, axis=1))
+    scores = [Explaining(CATALOGUE, 1e-3).explain(one, 0, 0.0).score for one in (once, thrice)]
+    assert scores[1] == pytest.approx(scores[0])
+
+
 LOADED = """
 name: loaded
 sections: [{name: arm, cells: 20, cell_length: 0.005, bending_stiffness: 0.03, bends_as: hinge}]

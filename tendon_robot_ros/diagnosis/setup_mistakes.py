@@ -270,7 +270,7 @@ class Explaining:
         remember are left to the diagnosis itself. None without equilibrium.
         """
         predictor = Predictor(dataset, dataset.robot, self.catalogue)
-        noise = Noise(self.usual / np.sqrt(3.0), 0.0, 1.0, np.inf, 'declared')
+        noise = Noise(0.0, 0.0, 1.0, np.inf, 'declared')  # trials average no error of the arm away
         slopes = np.zeros((*predictor.inputs.shape, len(dataset.markers), 3))
         if free is not None:  # slopes of the markers, per its largest value
             inputs = predictor.inputs
@@ -284,7 +284,8 @@ class Explaining:
                 per_largest = (step / DIFFERENCE_STEP / width)[:, None, None]
                 slopes[:, free] = (sides[0] - sides[1]) * per_largest
         nuisances = nuisances_of(dataset.robot, self.catalogue, predictor)
-        fitter = Fitter(predictor, Whitener(dataset, noise, slopes), nuisances)
+        whitener = Whitener(dataset, noise, slopes, rough=self.usual / np.sqrt(3.0))
+        fitter = Fitter(predictor, whitener, nuisances)
         effects = joining_effects(dataset.robot, self.catalogue, dataset)
         if dataset.thinned_from:
             slow = self.catalogue.needing('history')
