@@ -68,18 +68,9 @@ class Addition(TextResult):
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data for JSON."""
-        content = {
-            'effects': self.values,
-            'loads': self.loads,
-            'fitted': self.fitted,
-            'check': self.check,
-            'probability': self.probability,
-            'moved': self.moved,
-            'beside': self.beside,
-            'more_at_work': self.more_at_work,
-            'model_error': self.model_error,
-        }
-        return dict(plain(content))
+        left_out = 'robot', 'described', 'accuracy', 'values'
+        own = {key: value for key, value in vars(self).items() if key not in left_out}
+        return dict(plain({'effects': self.values, **own}))
 
 
 def with_origin(addition: Addition, before: Robot) -> Robot:

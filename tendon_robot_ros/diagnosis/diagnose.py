@@ -107,7 +107,7 @@ def diagnose(
     likelier = _likelier_mistake(session, described, rivals)
     if likelier is not None:
         return _mistaken(session, likelier)
-    diagnosis = _judge(session, brief=mistake is not None and plain)
+    diagnosis = _judge(session)
     if mistake is not None and plain:  # an effect that explains the data as well is preferred
         if not diagnosis.verdict.may_add:
             return _mistaken(session, mistake)
@@ -178,18 +178,17 @@ def _weighed_against(session: Session, mistake: Mistake, diagnosis: Diagnosis) -
     return _mistaken(session, mistake if gain < -APART_FROM_SCORE else replace(mistake, mend=mend))
 
 
-def _judge(question: Question, brief: bool) -> Diagnosis:
+def _judge(question: Question) -> Diagnosis:
     """
     Judge the effects, mistakes of the set-up being excluded.
 
     A misfit beyond repeatability is judged again by the declared accuracy, where there is one.
-    Where it is to be `brief`, the remainder need not be described.
     """
-    fits = gather(question, brief)
+    fits = gather(question)
     decision = fits.judge()
     outside = decision.verdict is Verdict.OUTSIDE_CATALOGUE
     if outside and question.accuracy and not question.use_accuracy:
-        fits = gather(replace(question, use_accuracy=True), brief)
+        fits = gather(replace(question, use_accuracy=True))
         decision = fits.judge()
     return _result(fits, decision)
 
@@ -240,16 +239,9 @@ def _cannot_judge(question: Question, needed: str) -> Diagnosis:
     markers = question.predictor.markers({})
     before = float('nan') if markers is None else rms(question.dataset.mean - markers)
     return Diagnosis(
-        verdict=Verdict.CANNOT_JUDGE,
-        effects=(),
-        cannot_tell_apart=(),
-        not_tested=(),
-        out_of_tolerance=(),
+        Verdict.CANNOT_JUDGE,
         error_before=before,
         error_after=before,
-        noise_floor=float('nan'),
-        next_measurement=None,
         remainder=needed,
-        candidates=(),
         details={'needed': needed},
     )

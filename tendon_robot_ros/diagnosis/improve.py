@@ -105,15 +105,12 @@ class AsFound:
         Gauss-Newton step from its fit; slopes and sizes of the imperfections are those of this
         one. Nan without an equilibrium.
         """
-        search, fit, whitener = self.search, state.fit, state.whitener
-        built, n = self.session.imperfections, state.whitener.size
+        search, fit, built = self.search, state.fit, self.session.imperfections
         own = np.flatnonzero([free.effect not in OF_THE_ARM for free in fit.frees])
         k, spread = len(own), self.fit.built.sizes[built.owners]
-        columns = np.zeros((len(fit.residual), len(spread)))
-        columns[:n] = -whitener.white(built.moves).T * spread
-        prior = np.eye(len(spread), k + len(spread), k)
-        jacobian = np.vstack([np.hstack([fit.jacobian[:, own], columns]), prior])
-        residual = np.append(fit.residual, np.zeros(len(spread)))
+        effects = replace(fit, jacobian=fit.jacobian[:, own])
+        moves, standard = built.moves * spread[:, None, None, None], np.ones(len(spread))
+        residual, jacobian = grown(effects, moves, state.whitener, standard)
         root = covariance_root(jacobian)[0]
         step = root @ (root.T @ (jacobian.T @ residual))
         frees = [fit.frees[i] for i in own]
@@ -171,7 +168,7 @@ class AsFound:
         for joining in Rates(self.search.predictor, self.state).of(blocks):
             frees = joining.block.frees
             spread = np.array([PRIOR_TYPICALS * free.parameter.typical for free in frees])
-            residual, jacobian = grown(fit, joining, whitener, np.zeros(len(frees)), spread)
+            residual, jacobian = grown(fit, joining.moves, whitener, spread)
             fit = replace(fit, residual=residual, jacobian=jacobian)
         return fit
 

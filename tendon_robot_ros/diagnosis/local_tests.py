@@ -84,16 +84,12 @@ class LocalFault:
             cell = robot.cell_names.index(' '.join(words[:2]))
             along = ends[cell : cell + 2].tolist()
         return {
+            **vars(self),
             'kind': self.place.kind,
             'place': self.place.name,
             'posture': None if p is None else postures[p],
             'along': along,
-            'size': self.size,
-            'low': self.low,
-            'high': self.high,
             'unit': self.place.unit,
-            'z': self.z,
-            'rate': self.rate,
             'alike': list(self.alike),
         }
 

@@ -70,7 +70,7 @@ def remainder_text(
     )
     if not outside and not is_noise and (accounted := _accounted(session, residual, arm)):
         return f'{text} {accounted}'
-    if not outside or fits.brief:
+    if not outside:
         return text
     repeats = session.repeats
     if fits.remembers and repeats is not None:

@@ -98,16 +98,17 @@ class Diagnosis(TextResult):
     """Verdict, effects to add, alternatives, what was not tested, errors and remainder."""
 
     verdict: Verdict
-    effects: tuple[EffectFinding, ...]
-    cannot_tell_apart: tuple[str, ...]
-    not_tested: tuple[str, ...]
-    out_of_tolerance: tuple[str, ...]
-    error_before: float  # [m] rms over postures and markers, of the description as it stands
-    error_after: float  # [m] of the description that `add` writes; see `error_alone`
-    noise_floor: float  # [m] of a perfect model
-    next_measurement: NextMeasurement | None
-    remainder: str
-    candidates: tuple[CandidateRow, ...]
+    effects: tuple[EffectFinding, ...] = ()
+    cannot_tell_apart: tuple[str, ...] = ()
+    not_tested: tuple[str, ...] = ()
+    out_of_tolerance: tuple[str, ...] = ()
+    # [m] rms over postures and markers, of the description as it stands
+    error_before: float = math.nan
+    error_after: float = math.nan  # [m] of the description that `add` writes; see `error_alone`
+    noise_floor: float = math.nan  # [m] of a perfect model
+    next_measurement: NextMeasurement | None = None
+    remainder: str = ''
+    candidates: tuple[CandidateRow, ...] = ()
     details: dict[str, Any] = field(default_factory=dict)
     format: str = FORMAT
     error_alone: float = math.nan  # [m] with the effects, the arm otherwise as it was described

@@ -50,7 +50,6 @@ class Fits:
     base: Fit
     singles: list[Ranked]
     not_tested: list[Candidate]
-    brief: bool = False  # whether the remainder need not be described
     reversed: bool = False  # whether a fit was better beyond a reversal of friction
     joint: list[Ranked] = field(default_factory=list)  # effects fitted together
     rivals: list[Pattern] = field(default_factory=list)  # that compete with the best effects
@@ -122,7 +121,6 @@ class Fits:
             tuple(map(_numbers, self.singles, gain_p_values(session, base, self.singles))),
             base.prior_z,
             {quantity: session.twin_of(quantity) for quantity in base.prior_z},
-            self.brief,
         )
 
     def _found(self, known: Evidence, missing: Missing) -> dict[str, Any]:
@@ -291,7 +289,7 @@ def gain_p_values(session: Session, base: Fit, ranked: Sequence[Ranked]) -> list
     return [session.gain_p_value(base, r) if r.held_out < held else 1.0 for r in ranked]
 
 
-def gather(question: Question, brief: bool = False) -> Fits:
+def gather(question: Question) -> Fits:
     """
     Fit the base and every candidate; weights are taken at the best candidate's fit.
 
@@ -324,7 +322,7 @@ def gather(question: Question, brief: bool = False) -> Fits:
         if beyond is singles:
             break
         singles, reversed_once = beyond, True
-    return Fits(session, base, singles, not_tested, brief, reversed_once)
+    return Fits(session, base, singles, not_tested, reversed_once)
 
 
 def over_reversals(session: Session, singles: list[Ranked]) -> list[Ranked]:

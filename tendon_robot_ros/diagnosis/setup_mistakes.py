@@ -146,13 +146,17 @@ def alone(predictor: Predictor, markers: Floats, floor: float) -> list[Mistake]:
     return [one for one in mistakes if one is not None]
 
 
-def _plainest(likely: Sequence[Mistake], floor: float) -> Mistake | None:
+def _as_good[M: (Mistake, Mended)](likely: Sequence[M], floor: float) -> list[M]:
+    """Return what leaves about as little as the best, the simplest kind first."""
+    lowest = min((one.after for one in likely), default=0.0) + floor
+    return [one for one in likely if one.after <= SAME_ERROR_RATIO * lowest]
+
+
+def _plainest[M: (Mistake, Mended)](likely: Sequence[M], floor: float) -> M | None:
     """Return the best mistake of the simplest kind that explains about as much as the best."""
-    if not likely:
-        return None
-    lowest = min(one.after for one in likely) + floor
-    plain = next(one for one in likely if one.after <= SAME_ERROR_RATIO * lowest)
-    return min((one for one in likely if one.name == plain.name), key=lambda one: one.after)
+    near = _as_good(likely, floor)
+    own = [one for one in likely if one.name == near[0].name] if near else []
+    return min(own, key=lambda one: one.after, default=None)
 
 
 def _cut(predictor: Predictor, markers: Floats, floor: float) -> Mistake | None:
@@ -273,16 +277,11 @@ class Explaining:
         noise = Noise(0.0, 0.0, 1.0, np.inf, 'declared')  # trials average no error of the arm away
         slopes = np.zeros((*predictor.inputs.shape, len(dataset.markers), 3))
         if free is not None:  # slopes of the markers, per its largest value
-            inputs = predictor.inputs
-            step, sides = DIFFERENCE_STEP * float(np.nanmax(inputs)), []
-            for sign in (1.0, -1.0):
-                moved = inputs.copy()
-                moved[:, free] = np.maximum(moved[:, free] + sign * step, 0.0)
-                sides.append(predictor.markers({}, moved))
-            if sides[0] is not None and sides[1] is not None:
-                width = 2.0 * step - np.maximum(step - inputs[:, free], 0.0)
-                per_largest = (step / DIFFERENCE_STEP / width)[:, None, None]
-                slopes[:, free] = (sides[0] - sides[1]) * per_largest
+            moved = predictor.inputs.copy()
+            moved[:, free] += DIFFERENCE_STEP * np.nanmax(moved)
+            before, after = predictor.markers({}), predictor.markers({}, moved)
+            if before is not None and after is not None:
+                slopes[:, free] = (after - before) / DIFFERENCE_STEP
         nuisances = nuisances_of(dataset.robot, self.catalogue, predictor)
         whitener = Whitener(dataset, noise, slopes, rough=self.usual / np.sqrt(3.0))
         fitter = Fitter(predictor, whitener, nuisances)
@@ -337,6 +336,16 @@ class Mended:
 
     mistake: Mistake
     explained: Explained
+
+    @property
+    def name(self) -> str:
+        """Name of the mistake."""
+        return self.mistake.name
+
+    @property
+    def after(self) -> float:
+        """Rms [m] that the effects leave of the corrected measurements."""
+        return self.explained.residual
 
     def with_rest(self, residual: float, names: Sequence[str]) -> Mistake:
         """Return the mistake with a note on the residual [m] that effects leave as well."""
@@ -419,23 +428,15 @@ def _rivals(
             better = explained.score + handicap < described.score
         if better and explained.residual < one.residual_max:
             rivals.append(Mended(one, explained))
-    if not rivals:
+    first, near = _plainest(rivals, floor), _as_good(rivals, floor)
+    if first is None:
         return []
-    limit = SAME_ERROR_RATIO * (min(one.explained.residual for one in rivals) + floor)
-    near = [one for one in rivals if one.explained.residual <= limit]  # the simplest is the first
-    first = min(
-        (one for one in near if one.mistake.name == near[0].mistake.name),
-        key=lambda one: one.explained.residual,
-    )
-    others = [one for one in rivals if one is not first]
-    others.sort(key=lambda one: one.explained.residual)
-    alike = [one.mistake for one in others if one in near]  # those of its kind first
-    alike.sort(key=lambda one: one.name != first.mistake.name)
-    if alike:
-        sentences = dict.fromkeys(one.sentence for one in (first.mistake, *alike))
-        sentence = ', or '.join([*sentences][:BEST_FEW])
-        first = Mended(replace(first.mistake, sentence=sentence), first.explained)
-    return [first, *others]
+    others = sorted((one for one in rivals if one is not first), key=lambda one: one.after)
+    alike = [one for one in others if one in near]
+    alike.sort(key=lambda one: one.name != first.name)  # those of its kind first
+    sentences = dict.fromkeys(one.mistake.sentence for one in (first, *alike))
+    said = replace(first.mistake, sentence=', or '.join([*sentences][:BEST_FEW]))
+    return [Mended(said, first.explained), *others]
 
 
 def mended_rivals(session: Session, enough: float) -> tuple[Explained | None, list[Mended]]:

@@ -170,24 +170,25 @@ def promised(residual: Floats, jacobian: Floats, whitener: Whitener, groups: Gro
 
 
 def grown(
-    fit: Fit, joining: Joining, whitener: Whitener, back: Floats, spread: Floats
+    fit: Fit, moves: Floats, whitener: Whitener, spread: Floats, back: Floats | float = 0.0
 ) -> tuple[Floats, Floats]:
     """
-    Return residual (N + p,) and Jacobian (N + p, f) of a fit with a block and its priors.
+    Return residual (N + p,) and Jacobian (N + p, f) of a fit with more parameters and priors.
 
     Parameters
     ----------
-    back, spread : (q,)
-        Distance of the start of the block from the description, and the sd of its priors.
+    moves : (q, P, J, 3) [m per unit]
+        Derivatives of the markers by the parameters.
+    spread, back : (q,)
+        The sd of their priors, and the distance of their start from what these expect.
 
     """
-    n, q = whitener.size, len(joining.moves)
-    columns, residual = np.zeros((len(fit.residual), q)), np.append(fit.residual, back / spread)
-    columns[:n] = -whitener.white(joining.moves).T
-    if np.any(joining.change):
-        residual[:n] -= whitener.white(np.asarray(joining.change))
+    n, q = whitener.size, len(moves)
+    columns = np.zeros((len(fit.residual), q))
+    columns[:n] = -whitener.white(moves).T
     beside = np.zeros((q, fit.jacobian.shape[1]))
-    return residual, np.block([[fit.jacobian, columns], [beside, np.diag(1.0 / spread)]])
+    jacobian = np.block([[fit.jacobian, columns], [beside, np.diag(1.0 / spread)]])
+    return np.append(fit.residual, np.broadcast_to(back, q) / spread), jacobian
 
 
 @dataclass(frozen=True)
@@ -461,7 +462,9 @@ class Stepwise:
             back = np.zeros(len(frees))
             if np.any(joining.change):
                 back += [joining.start[free] - self.predictor.start(free) for free in frees]
-            residual, jacobian = grown(fit, joining, whitener, back, spread)
+            residual, jacobian = grown(fit, joining.moves, whitener, spread, back)
+            if np.any(joining.change):
+                residual[: whitener.size] -= whitener.white(np.asarray(joining.change))
         if leaving is not None:
             own = [i for i, free in enumerate(fit.frees) if free in leaving.frees]
             back = np.array([self.predictor.start(fit.frees[i]) for i in own]) - fit.values[own]

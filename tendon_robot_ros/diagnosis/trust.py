@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -152,7 +153,7 @@ def assess(
         (10_000 + i, hidden[i % len(hidden)].free, hidden[i % len(hidden)].value)
         for i in range(runs // 2 if hidden else 0)
     ]
-    job = Job(dataset, session.noise, tuple(files))
+    run = partial(alarm, dataset, session.noise, tuple(files))
     start = time.monotonic()
 
     def note(what: str) -> None:
@@ -160,36 +161,27 @@ def assess(
 
     with Workers(workers) as spread:
         early, late = start + 0.65 * seconds, start + seconds
-        quiet = spread.run(job.alarm, clean, early)
+        quiet = spread.run(run, clean, early)
         count, alarms = counted(quiet, 'simulated with nothing missing', note)
-        loud = spread.run(job.alarm, sized, late)
+        loud = spread.run(run, sized, late)
         checked, detected = counted(loud, 'simulated with an effect', note)
     return Trust(count, alarms, *wilson(alarms, count), smallest, checked, detected)
 
 
-@dataclass(frozen=True)
-class Job:
-    """What every simulation needs; goes to the worker processes."""
-
-    dataset: DataSet
-    noise: Noise
-    files: tuple[str, ...]
-
-    def alarm(self, task: Task) -> bool | None:
-        """Return whether a simulated data set raises the alarm; None without equilibrium."""
-        seed, free, value = task
-        catalogue = load_catalogue(self.files)
-        question = Question.of(self.dataset, self.dataset.robot, catalogue)
-        random = np.random.default_rng([seed, 71])
-        point: dict[FreeParameter, float] = {
-            n.free: float(random.normal(n.centre, n.spread)) for n in question.nuisances
-        }
-        if free is not None:
-            point[free] = value
-        simulated = simulated_measurements(question.predictor, point, self.noise, random)
-        if simulated is None:
-            return None
-        return gather(question.mended(simulated)).answer(is_alarming)
+def alarm(dataset: DataSet, noise: Noise, files: tuple[str, ...], task: Task) -> bool | None:
+    """Return whether a simulated data set raises the alarm; None without equilibrium."""
+    seed, free, value = task
+    question = Question.of(dataset, dataset.robot, load_catalogue(files))
+    random = np.random.default_rng([seed, 71])
+    point: dict[FreeParameter, float] = {
+        n.free: float(random.normal(n.centre, n.spread)) for n in question.nuisances
+    }
+    if free is not None:
+        point[free] = value
+    simulated = simulated_measurements(question.predictor, point, noise, random)
+    if simulated is None:
+        return None
+    return gather(question.mended(simulated)).answer(is_alarming)
 
 
 def simulated_measurements(

@@ -214,7 +214,6 @@ class Evidence:
     singles: tuple[Hypothesis, ...]  # of single effects, in the order of the catalogue
     moved: Mapping[str, float] = field(default_factory=dict)  # declared quantity -> its own sd
     twins: Mapping[str, str | None] = field(default_factory=dict)  # -> effect of its influence
-    brief: bool = False  # whether the remainder is not described where nothing explains the data
     wider: frozenset[Names] | None = None  # contenders that can imitate smaller ones
     departures: Mapping[Names, Sequence[Departure]] = field(default_factory=dict)  # of each effect
     patterns: tuple[Rival, ...] | None = None  # outside the catalogue, or at a place to be found
@@ -379,7 +378,7 @@ def _of_several(evidence: Evidence, combined: Sequence[Hypothesis]) -> Concluded
     holding = [one for one in combined if holds_together(one) and differs(evidence, one)]
     best, rival = [first_of_best(evidence.singles)] if evidence.singles else [], None
     tried = [*combined, *best]
-    if tried and (holding or not evidence.brief):
+    if tried:
         rival = _competing(evidence, min(one.score for one in tried))
     if holding and rival is None:
         return Conclusion(Verdict.SEVERAL, holding[0])
