@@ -6,13 +6,14 @@ All have the same score: deviance plus twice the number of parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from ..common.arrays import Floats
+from ..effects import Catalogue
 from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
@@ -492,7 +493,8 @@ def extended(session: Session, current: Ranked) -> list[Ranked]:
     larger = [
         current.candidate.with_(c)
         for c in tested
-        if not set(current.names) & set(c.names) and not _overlaps(session, c, current.names)
+        if not set(current.names) & set(c.names)
+        and not overlaps(session.catalogue, c.names[0], current.names)
     ]
     order, is_long = larger, bool(session.dataset.thinned_from)
     if session.random.kinds or is_long:
@@ -511,15 +513,13 @@ def _pairs(session: Session, order: Sequence[Ranked]) -> list[Ranked]:
     pairs, starts = [], {}
     for i, first in enumerate(order):
         for second in order[i + 1 :]:
-            if not _overlaps(session, second.candidate, first.names):
+            if not overlaps(session.catalogue, second.names[0], first.names):
                 pairs.append(first.candidate.with_(second.candidate))
                 starts[pairs[-1].label] = first.fit
     return session.fit_joint(pairs, starts, 'pairs')
 
 
-def _overlaps(session: Session, candidate: Candidate, have: Sequence[str]) -> bool:
-    """Return whether a candidate contains, or is contained in, a selected effect."""
-    name, catalogue = candidate.names[0], session.catalogue
-    return bool(set(catalogue[name].contains) & set(have)) or any(
-        name in catalogue[other].contains for other in have
-    )
+def overlaps(catalogue: Catalogue, name: str, others: Collection[str]) -> bool:
+    """Return whether an effect contains, or is contained in, one of the others."""
+    within = any(name in catalogue[other].contains for other in others)
+    return within or not set(catalogue[name].contains).isdisjoint(others)

@@ -52,9 +52,7 @@ class Mistake:
     after: float  # [m] rms
     mended: DataSet | None = field(default=None, repr=False)  # corrected data set, where it exists
     doubtful: bool = False  # whether an effect may explain about as much
-    fitted: int = 0  # number of values fitted to the measurements
-    free_input: int | None = None  # the input with fitted values
-    beside: Callable[[Point], Mistake | None] | None = field(default=None, repr=False)  # effects
+    free_input: int | None = None  # the input of which a value was fitted in every posture
     rest: str = ''  # note on its residual with effects
     certain: bool = False  # whether measurements alone show it
 
@@ -399,12 +397,10 @@ def dead_inputs(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     if spans.max() < 10.0 * NEGLIGIBLE * largest:
         return
     for j in np.flatnonzero(spans < NEGLIGIBLE * largest).tolist():
-        one = _dead(predictor, j, {})
-        if one is not None:
-            yield one
+        yield from dead_input(predictor, j, {})
 
 
-def _dead(predictor: Predictor, j: int, point: Point) -> Mistake | None:
+def dead_input(predictor: Predictor, j: int, point: Point) -> Iterator[Mistake]:
     """Fit the value of an input in each posture to its markers, at a point of effects."""
     dataset, given = predictor.dataset, predictor.inputs
     name, fitted, largest = predictor.robot.inputs[j], given.copy(), float(np.nanmax(given))
@@ -431,7 +427,7 @@ def _dead(predictor: Predictor, j: int, point: Point) -> Mistake | None:
         between = np.clip(np.where(np.isfinite(between), between, 0.0), -1.0, 1.0)
         fitted[:, j] = sizes[k] + between * (sizes[1] - sizes[0])
     own = fitted[:, j]
-    mistakes = evaluated(
+    for one in evaluated(
         predictor,
         predictor.markers({}, fitted),
         'input_dead',
@@ -440,7 +436,5 @@ def _dead(predictor: Predictor, j: int, point: Point) -> Mistake | None:
         f'look at the load cell of {name}',
         inputs=fitted,
         trial_inputs=None,
-    )
-    beside = partial(_dead, predictor, j)
-    one = next(mistakes, None)
-    return one and replace(one, fitted=len(given), free_input=j, beside=beside)
+    ):
+        yield replace(one, free_input=j)

@@ -38,6 +38,7 @@ from .marker_hypotheses import (
 from .result import Diagnosis
 from .setup_hypotheses import (
     Mistake,
+    dead_input,
     dead_inputs,
     evaluated,
     gravities,
@@ -252,16 +253,15 @@ class Explaining:
         """Take the usual rms error [m] of an arm as built."""
         self.catalogue, self.usual = catalogue, usual
 
-    def with_effect(self, mistake: Mistake) -> Mistake:
+    def with_effect(self, predictor: Predictor, mistake: Mistake) -> Mistake:
         """Return a mistake with values fitted together with an effect that acts as well."""
         for _ in range(2):
-            if mistake.beside is None or mistake.mended is None:
+            free = mistake.free_input
+            if free is None or mistake.mended is None:
                 break
-            beside = self.explain(mistake.mended, 1, 0.0, mistake.free_input)
-            refitted = None if beside is None else mistake.beside(beside.point)
-            if refitted is None:
-                break
-            mistake = refitted
+            beside = self.explain(mistake.mended, 1, 0.0, free)
+            if beside is not None:
+                mistake = next(dead_input(predictor, free, beside.point), mistake)
         return mistake
 
     def explain(
@@ -416,7 +416,7 @@ def _rivals(
         progress('mistakes of the set-up', k + 1, len(mistakes))
         if one.mended is None:
             continue
-        one = explaining.with_effect(one)
+        one = explaining.with_effect(predictor, one)
         assert one.mended is not None
         explained = explaining.explain(one.mended, 1, floor)
         if explained is None:
@@ -424,7 +424,8 @@ def _rivals(
         if described.quiet:  # the score, with usual errors as noise, decides nothing
             better = explained.residual < SAME_ERROR_RATIO * described.residual
         else:
-            handicap = 2.0 * one.fitted + MISTAKE_HANDICAP
+            fitted = 0 if one.free_input is None else len(markers)
+            handicap = 2.0 * fitted + MISTAKE_HANDICAP
             better = explained.score + handicap < described.score
         if better and explained.residual < one.residual_max:
             rivals.append(Mended(one, explained))

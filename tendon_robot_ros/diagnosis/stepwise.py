@@ -42,6 +42,7 @@ from ..inference.session import Question
 from ..inference.statistics import chi2_sf, f_sf, rms
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
+from .select import overlaps
 from .setup_hypotheses import Mistake
 from .setup_mistakes import find_mistake
 from .verdict import P_SINGLE_MIN, POSTURES_MIN
@@ -443,10 +444,8 @@ class Stepwise:
             return False
         present = own | set(self.robot.effects) | set(block.names)
         for effect in (self.catalogue[name] for name in block.names if name in self.catalogue):
-            contained = any(effect.name in self.catalogue[other].contains for other in own)
-            if contained or set(effect.contains) & own:
-                return False
-            if effect.acts_on is not None and effect.acts_on not in present:
+            alone = effect.acts_on is not None and effect.acts_on not in present
+            if alone or overlaps(self.catalogue, effect.name, own):
                 return False
         return True
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -149,9 +150,9 @@ def assess(
     slow = {e.name for e in session.catalogue if e.always_on or e.stage == 'memory'}
     hidden = [one for one in smallest if one.size is not None and one.free.effect not in slow]
     clean: list[Task] = [(seed, None, 0.0) for seed in range(runs)]
+    seeds = range(10_000, 10_000 + runs // 2)
     sized: list[Task] = [
-        (10_000 + i, hidden[i % len(hidden)].free, hidden[i % len(hidden)].value)
-        for i in range(runs // 2 if hidden else 0)
+        (seed, one.free, one.value) for seed, one in zip(seeds, cycle(hidden), strict=False)
     ]
     run = partial(alarm, dataset, session.noise, tuple(files))
     start = time.monotonic()
