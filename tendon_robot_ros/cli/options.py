@@ -21,7 +21,7 @@ from ..common.files import file_to_write, write_text
 from ..common.processes import UPKEEP_S
 from ..common.results import JSON_OPTION
 from ..common.results import emit as emit
-from ..common.words import COMPILING, TYPED_LENGTHS, UNITS, digits, other_unit, read_quantity
+from ..common.words import TYPED_LENGTHS, UNITS, digits, other_unit, read_quantity
 from ..data import DataSet, join, load_dataset
 from ..data.bag_reader import is_bag
 from ..data.folder import described_robot
@@ -96,11 +96,10 @@ def add_cluster(parser: argparse.ArgumentParser) -> None:
 def effects_of(args: argparse.Namespace) -> Catalogue:
     """Read the catalogue with the user's own effects; say it where the model compiles first."""
     from ..effects import load_catalogue
-    from ..model.compile import is_compiled
+    from ..model.compile import say_where_it_compiles
 
     catalogue = load_catalogue(args.effect_file)
-    if not is_compiled(catalogue):
-        print(COMPILING, file=sys.stderr)
+    say_where_it_compiles(catalogue)
     return catalogue
 
 

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from ..common.errors import EffectError, RobotDescriptionError
 from ..common.files import cache_folder
 from ..common.processes import child_environment
+from ..common.words import COMPILING
 from ..effects import STAGES, Catalogue, Parameter, load_catalogue
 from ..robot import Robot
 from ..robot.description import helix_angles, tendon_offsets
@@ -177,6 +178,12 @@ def is_compiled(catalogue: Catalogue, part: str = '') -> bool:
     # beside the sources, or with NUMBA_CACHE_DIR in a folder of that name and a hash
     files = f'tendon_robot_kernel_{kernel_key(catalogue)}*/**/{part}*.nbc'
     return any(cache_folder().glob(files))
+
+
+def say_where_it_compiles(catalogue: Catalogue) -> None:
+    """Say on the terminal that the model compiles first, where it is not in the cache."""
+    if not is_compiled(catalogue):
+        print(COMPILING, file=sys.stderr)
 
 
 COMPILE_ENTRIES = """

@@ -22,10 +22,9 @@ from ...common.arrays import Floats
 from ...common.colours import COLOURS, ERROR
 from ...common.files import new_file
 from ...common.rotations import angle_between
-from ...common.words import COMPILING
 from ...control.loading import load
 from ...effects import load_catalogue
-from ...model.compile import is_compiled
+from ...model.compile import say_where_it_compiles
 from ...model.model import Model
 from ...model.shape import plot_arms
 from ...robot import load_robot
@@ -44,8 +43,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the demo; return 0 when every reachable target was reached."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     catalogue = load_catalogue()
-    if not is_compiled(catalogue):
-        print(COMPILING, file=sys.stderr)
+    say_where_it_compiles(catalogue)
     model = load(load_robot(ROBOT), catalogue)
     robot, length = model.robot, model.robot.length
     beyond = np.array([0.9 * length, 0.0, 0.9 * length])

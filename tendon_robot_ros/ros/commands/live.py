@@ -28,11 +28,11 @@ from std_msgs.msg import String
 
 from ...common.arrays import Floats
 from ...common.errors import MissingExtraError, NoEquilibriumError, TendonRobotError
-from ...common.words import COMPILING, mm
+from ...common.words import mm
 from ...control.loading import load
 from ...effects import load_catalogue
 from ...inference.statistics import rms
-from ...model.compile import is_compiled
+from ...model.compile import say_where_it_compiles
 from ...model.model import Model
 from ...robot import Robot, dump_robot
 from ...robot.keep_out import KeepOut
@@ -116,8 +116,7 @@ def run(options: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     if not options.headless and importlib.util.find_spec('viser') is None:
         raise MissingExtraError('viser', 'viewer')
     catalogue = load_catalogue()
-    if not is_compiled(catalogue):
-        print(COMPILING, file=sys.stderr)
+    say_where_it_compiles(catalogue)
     robot, hidden, seed = cast(options, catalogue)
     model = load(robot, catalogue)
     with ros(ros_arguments) as ending, ExitStack() as stack:
