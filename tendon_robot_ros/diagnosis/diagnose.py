@@ -221,27 +221,25 @@ def _result(fits: Fits, decision: Concluded) -> Diagnosis:
 
 def _mistaken(question: Question, mistake: Mistake) -> Diagnosis:
     """Return the diagnosis of a mistake; no effect is judged before it is corrected."""
-    markers = question.predictor.markers({})
-    before = np.inf if markers is None else rms(question.dataset.mean - markers)
-    diagnosis = _cannot_judge(question, mistake.text(before))
+    diagnosis = _cannot_judge(question, mistake.text(_error(question)))
     fields = {key: value for key, value in vars(mistake).items() if key != 'mended'}
-    return replace(
-        diagnosis,
-        noise_floor=question.whitener.floor()
-        if isinstance(question, Session)
-        else diagnosis.noise_floor,
-        error_after=mistake.after,
-        details={**diagnosis.details, 'mistake': fields},
-    )
+    details = {**diagnosis.details, 'mistake': fields}
+    return replace(diagnosis, error_after=mistake.after, details=details)
 
 
 def _cannot_judge(question: Question, needed: str) -> Diagnosis:
-    markers = question.predictor.markers({})
-    before = float('nan') if markers is None else rms(question.dataset.mean - markers)
+    before = _error(question)
     return Diagnosis(
         Verdict.CANNOT_JUDGE,
         error_before=before,
         error_after=before,
+        noise_floor=question.whitener.floor() if isinstance(question, Session) else np.nan,
         remainder=needed,
         details={'needed': needed},
     )
+
+
+def _error(question: Question) -> float:
+    """Return the rms error [m] of the description; nan without an equilibrium."""
+    markers = question.predictor.markers({})
+    return np.nan if markers is None else rms(question.dataset.mean - markers)
