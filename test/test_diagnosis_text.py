@@ -28,7 +28,6 @@ from tendon_robot_ros.report.sentences import (
     load_words,
     quantities,
     quantity,
-    rounded_quantity,
 )
 
 LEVER = Value(1.584e-4, 1.517e-4, 1.652e-4, 'm')
@@ -67,16 +66,6 @@ def test_changes_are_shown_in_percent_and_forces_in_one_unit():
     change = {'relative_change': Value(-0.081, -0.085, -0.077, '1')}
     assert quantities(change) == 'relative_change = -8.1 ± 0.4 %'
     assert quantities(LOAD.parameters) == 'force_x = 2.46 ± 0.07 mN, force_y = -0.02 ± 0.10 mN'
-
-
-@pytest.mark.parametrize(('value', 'text'), [
-    (Value(-3.31e-7, -2e-3, 2e-3, 'N'), 'x 0 mN'),
-    (Value(2.95e-5, 2.6e-5, 3.3e-5, 'm'), 'x 30 µm'),
-    (Value(0.151, 0.147, 0.155, 'N'), 'x 0.151 N'),
-    (Value(0.151, -np.inf, np.inf, 'N'), 'x 0.151 N'),
-])  # fmt: skip
-def test_a_value_alone_has_as_many_places_as_its_interval_tells(value, text):
-    assert rounded_quantity('x', value) == text
 
 
 AXES = np.eye(3)
@@ -137,7 +126,6 @@ def test_a_finding_that_is_a_force_says_so_in_the_verdict():
 def test_the_owner_of_a_value_is_said_in_words():
     change = {'relative_change[distal]': Value(-0.081, -0.085, -0.077, '1')}
     assert quantities(change) == 'relative_change of distal = -8.1 ± 0.4 %'
-    assert rounded_quantity(*change.popitem()) == 'relative_change of distal -8.1 %'
 
 
 def test_the_share_is_of_what_the_noise_leaves_even_where_it_was_declared_too_large():
@@ -173,13 +161,10 @@ def test_one_missing_effect():
     )
 
 
-@pytest.mark.parametrize(
-    ('number', 'text'), [(0.0, 'x 0'), (3.1e-250, 'x 3.1e-250'), (2.5e-9, 'x 2.5e-09')]
-)
-def test_numbers_next_to_nothing_are_no_row_of_zeros(number, text):
-    value = Value(number, number, number, '1')
-    assert rounded_quantity('x', value) == text
-    assert len(quantity('x', replace(value, low=0.9 * number, high=1.1 * number))) < 30
+@pytest.mark.parametrize('number', [0.0, 3.1e-250, 2.5e-9])
+def test_numbers_next_to_nothing_are_no_row_of_zeros(number):
+    value = Value(number, 0.9 * number, 1.1 * number, '1')
+    assert len(quantity('x', value)) < 30
 
 
 def test_several_missing_effects():
