@@ -250,8 +250,10 @@ class Fitter:
         plain = search.result(near)
         if self.around:
             self.predictor.around = {}
-            described = self.predictor.markers(search.point, near=search.settled)
-            self.predictor.around = self.around
+            try:
+                described = self.predictor.markers(search.point, near=search.settled)
+            finally:
+                self.predictor.around = self.around
             plain = plain if described is None else replace(plain, markers=described)
         described = np.array([self.predictor.value(free) for free in search.frees])
         plain = replace(plain, response=self.response, described=described)
