@@ -71,7 +71,7 @@ def test_what_it_cannot_show_does_not_end_it(shown, tmp_path):
         described.write_text('name: half of')  # as an editor leaves it for a moment
         station.until(lambda: 'the model of the controller: ' in log.read_text(), 'its word')
     for topic, message in (
-        ('measured_shape', PoseArray()),  # of a tracker that sees nothing
+        ('monitor/measured', PoseArray()),  # of a tracker that sees nothing
         ('tendon_states', JointState(name=['one', 'two'], effort=[1.0])),
     ):
         for _ in range(5):  # one alone might be lost

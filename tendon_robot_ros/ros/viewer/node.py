@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PointStamped, PoseArray
+from geometry_msgs.msg import PointStamped, PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
@@ -103,9 +103,8 @@ class ViewerNode(Runnable):
             state.inputs = tuple(message.name)
             state.tensions = tuple(message.effort if known else [math.nan] * len(message.name))
 
-        def measured(message: PoseArray) -> None:
-            state.measured = points_of(message)
-            self._base = self._base or message.header.frame_id
+        def predicted_tip(message: PoseStamped) -> None:
+            self._base = message.header.frame_id
 
         def contact(message: String) -> None:
             state.force, state.force_at = np.array(json.loads(message.data)['arrow']), now()
@@ -119,7 +118,8 @@ class ViewerNode(Runnable):
         interface.subscribe(self, 'monitor/progress', progress, names['monitor'], STATE)
         topics: dict[str, Callable[[Any], None]] = {
             'tendon_states': states,
-            'measured_shape': measured,
+            'controller/predicted_tip': predicted_tip,
+            'monitor/measured': keep('measured', points_of),
             'monitor/predicted': keep('predicted', points_of),
             'monitor/contact': contact,
             'monitor/rolling_error': lambda m: state.add_error(now(), m.data),
