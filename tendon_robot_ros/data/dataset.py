@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol, TypedDict, Unpack
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,18 +57,6 @@ def at_rest(inputs: Floats) -> Bools:
     """Return which postures (P,) of inputs (P, m) [N] or [m] are at rest; NaN is a slack wire."""
     sizes = np.abs(np.nan_to_num(inputs)).max(axis=1)
     return np.asarray(sizes < REST_FRACTION * sizes.max())
-
-
-class Described(TypedDict, total=False):
-    """What is known of measurements; what is left out is as in a `DataSet`."""
-
-    input: str
-    path: str
-    gravity: Vector | None
-    position_noise: float | None
-    setting_noise: float
-    trial_noise: float
-    accuracy: float | None
 
 
 @dataclass(frozen=True)
@@ -175,7 +163,13 @@ class DataSet(TextResult):
         *,
         markers: Sequence[Marker | float] | None = None,
         name: str = 'DataFrame',
-        **described: Unpack[Described],
+        input: str = 'tension',
+        path: str = 'from_straight',
+        gravity: Vector | None = None,
+        position_noise: float | None = None,
+        setting_noise: float = 0.0,
+        trial_noise: float = 0.0,
+        accuracy: float | None = None,
     ) -> DataSet:
         """
         Return the data set of a tidy table: a row per posture, trial and marker, SI units.
@@ -213,7 +207,13 @@ class DataSet(TextResult):
             labels,
             **arrays,
             name=name,
-            **described,
+            input=input,
+            path=path,
+            gravity=gravity,
+            position_noise=position_noise,
+            setting_noise=setting_noise,
+            trial_noise=trial_noise,
+            accuracy=accuracy,
         )
 
     @classmethod
@@ -226,7 +226,13 @@ class DataSet(TextResult):
         markers: Sequence[Marker | float] | None = None,
         postures: Sequence[str] = (),
         name: str = 'arrays',
-        **described: Unpack[Described],
+        input: str = 'tension',
+        path: str = 'from_straight',
+        gravity: Vector | None = None,
+        position_noise: float | None = None,
+        setting_noise: float = 0.0,
+        trial_noise: float = 0.0,
+        accuracy: float | None = None,
     ) -> DataSet:
         """
         Return the data set of arrays.
@@ -266,19 +272,18 @@ class DataSet(TextResult):
 
         """
         robot = load_robot(robot)
-        kind = choice('input', described.get('input', 'tension'), INPUTS)
-        rows = input_rows(robot, inputs, kind, f'{name}: inputs')
+        rows = input_rows(robot, inputs, choice('input', input, INPUTS), f'{name}: inputs')
         try:
             places = np.asarray(positions, dtype=float)
         except (TypeError, ValueError):
             raise refusal(f'{name}: positions', 'numbers [m]', positions) from None
+        if not P:
+            raise DataSetError(f'{name}: positions', 'hold no posture', 'give at least one')
         places = places[:, None] if places.ndim == 3 else places
         if places.ndim != 4 or places.shape[3] != 3:
             remedy = 'expected (postures, markers, 3) or (postures, trials, markers, 3)'
             raise DataSetError(f'{name}: positions', f'has shape {np.shape(positions)}', remedy)
         P, _, J = places.shape[:3]
-        if not P:
-            raise DataSetError(f'{name}: positions', 'hold no posture', 'give at least one')
         return cls._checked(
             robot,
             markers,
@@ -287,7 +292,13 @@ class DataSet(TextResult):
             inputs=rows,
             positions=places,
             name=name,
-            **described,
+            input=input,
+            path=path,
+            gravity=gravity,
+            position_noise=position_noise,
+            setting_noise=setting_noise,
+            trial_noise=trial_noise,
+            accuracy=accuracy,
         )
 
     @classmethod
@@ -299,12 +310,12 @@ class DataSet(TextResult):
         **values: Any,
     ) -> DataSet:
         """Return the data set of these values if they are in plausible units."""
-        choice('input', values.get('input', 'tension'), INPUTS)
-        choice('path', values.get('path', 'from_straight'), LOADINGS)
+        choice('input', values['input'], INPUTS)
+        choice('path', values['path'], LOADINGS)
         for key, (maximum, unit) in LIMITS.items():
-            if values.get(key) is not None:
+            if values[key] is not None:
                 number(key, values[key], 0.0, maximum, unit)
-        if values.get('gravity') is not None:
+        if values['gravity'] is not None:
             values['gravity'] = tuple(finite('gravity', values['gravity'], 3).tolist())
         placed = place_markers(robot, markers, labels, values['name'])
         dataset = cls(robot=robot, markers=placed, **values)
