@@ -98,7 +98,8 @@ def stages_source(catalogue: Catalogue) -> str:
                 f'        {value} = law_{number}({takes}, {parameters})',
             ]
         lines += [f'    return {value}', '', '', '@compiled', f'def {stage.name}_acts(chain):']
-        acts = ' or '.join(f'flags(chain.on)[{i}] != 0' for i in where.members[stage.name])
+        own = (where.index[effect.name] for effect in members)
+        acts = ' or '.join(f'flags(chain.on)[{number}] != 0' for number in own)
         lines.append(f'    return {acts or "False"}')
     return '\n'.join(lines) + '\n'
 
