@@ -277,13 +277,13 @@ class DataSet(TextResult):
             places = np.asarray(positions, dtype=float)
         except (TypeError, ValueError):
             raise refusal(f'{name}: positions', 'numbers [m]', positions) from None
-        if not P:
-            raise DataSetError(f'{name}: positions', 'hold no posture', 'give at least one')
         places = places[:, None] if places.ndim == 3 else places
         if places.ndim != 4 or places.shape[3] != 3:
             remedy = 'expected (postures, markers, 3) or (postures, trials, markers, 3)'
             raise DataSetError(f'{name}: positions', f'has shape {np.shape(positions)}', remedy)
         P, _, J = places.shape[:3]
+        if not P:
+            raise DataSetError(f'{name}: positions', 'hold no posture', 'give at least one')
         return cls._checked(
             robot,
             markers,
