@@ -53,6 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--topics', nargs='+', default=[], metavar='TOPIC', help='only these (default: all)'
     )
+    parser.add_argument(
+        '--storage',
+        choices=bag_writer.STORAGES,
+        default='mcap',
+        help='of the folder (default: mcap)',
+    )
     add_controller(parser)
     parser.add_argument('--json', **JSON_OPTION)
 
@@ -65,7 +71,7 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     with (
         ros(ros_arguments) as ending,
         write_errors(Path(args.output)),
-        bag_writer.BagWriter(args.output) as writer,
+        bag_writer.BagWriter(args.output, args.storage) as writer,
     ):
         recorder = Recorder(writer, args.controller, args.topics)
         executor = SingleThreadedExecutor()
