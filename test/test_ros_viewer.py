@@ -2,18 +2,25 @@
 
 import urllib.request
 
+import numpy as np
 import processes
 import pytest
 
 pytest.importorskip('rclpy')
 pytest.importorskip('viser')
 
+import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseArray
+from geometry_msgs.msg import PointStamped, PoseArray, PoseStamped
 from ros_station import LATCHED, ForkedNode, Station, last, start, values
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 
 from tendon_robot_ros.robot import dump_robot, load_robot
+from tendon_robot_ros.ros.shared.messages import pose_array
+from tendon_robot_ros.ros.shared.quality import LISTEN
+from tendon_robot_ros.ros.shared.runtime import ros
+from tendon_robot_ros.ros.viewer.node import ViewerNode
 
 pytestmark = pytest.mark.ros
 LOADED = 120.0  # [s] a busy machine may need to load the model
@@ -84,3 +91,29 @@ def test_what_it_cannot_show_does_not_end_it(shown, tmp_path):
 def test_beyond_this_machine_it_draws_a_token(shown):
     _, log, _ = shown(host='0.0.0.0')
     assert 'token for commands from the page: ' in log.read_text()
+
+
+def test_a_tracker_in_a_frame_of_its_own_moves_neither_the_arm_nor_a_target():
+    base, arm = Header(frame_id='base'), np.ones((2, 3))
+    port = f'port:={processes.free_port()}'
+    rclpy.try_shutdown()  # a station before has begun without these arguments
+    with ros(['--ros-args', '-r', '__ns:=/framed', '-p', port]):
+        viewer, station = ViewerNode(), Station('/framed')
+        station.executor.add_node(viewer)
+        try:
+            tracker = station.node.create_publisher(PoseArray, 'measured_shape', LISTEN)
+            targets = station.hear(PointStamped, 'controller/target_point')
+
+            def measure():
+                tracker.publish(pose_array(Header(frame_id='camera'), -arm))
+                station.send('controller/predicted_tip', PoseStamped(header=base))
+                station.send('monitor/measured', pose_array(base, arm))
+                viewer.page.commands.put(('target', (0.05, 0.0, 0.1)))
+
+            station.repeat(measure, 1.0, lambda: targets, 'a target')
+            assert {message.header.frame_id for _, message in targets} == {'base'}
+            assert np.array_equal(viewer.state.measured, arm)
+        finally:
+            viewer.end()
+            station.close()
+            viewer.destroy_node()
