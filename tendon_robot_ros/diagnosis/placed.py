@@ -21,12 +21,12 @@ from ..common.arrays import Floats
 from ..effects import Effect
 from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
-from ..inference.fitter import BEST_FEW, FAILURES, Fitter
+from ..inference.fitter import BEST_FEW, FAILURES, GAINS_TO_COME, Fitter
 from ..inference.imperfections import pushes
 from ..inference.intervals import QUANTILE
 from ..inference.predict import FreeParameter, Point, Predictor, free_parameters
 from ..inference.search import DIFFERENCE_STEP
-from ..inference.session import Session
+from ..inference.session import NEAR_SCORE, Session
 
 Start = Mapping[str, float]  # parameter -> SI
 DIRECTIONS = 200  # [1] of a wall or a string, because neighbours of so many are 15° apart
@@ -192,11 +192,10 @@ def fit_placed(session: Session, base: Fit, line: float) -> list[Ranked]:
         if name not in session.catalogue or name in session.robot.effects:
             continue
         starts = screen.starts(session.catalogue[name])
-        best = _fitted(session, name, starts, line, along=name != 'contact')
-        gains = best is not None and best.score < base.deviance
-        if name == 'tether' and gains and 'point_load' in fitted:
-            springs = screen.springs(fitted['point_load'])
-            both = best, _fitted(session, name, springs, line)
+        best = _fitted(session, name, starts, base, line, along=name != 'contact')
+        load = fitted.get('point_load')
+        if name == 'tether' and load is not None and load.score < base.deviance:
+            both = best, _fitted(session, name, screen.springs(load), base, line)
             best = min(filter(None, both), key=lambda one: one.score, default=None)
         if best is not None:
             fitted[name] = best
@@ -204,12 +203,19 @@ def fit_placed(session: Session, base: Fit, line: float) -> list[Ranked]:
 
 
 def _fitted(
-    session: Session, name: str, starts: Iterable[Start], line: float, along: bool = False
+    session: Session,
+    name: str,
+    starts: Iterable[Start],
+    base: Fit,
+    line: float,
+    along: bool = False,
 ) -> Ranked | None:
     """
     Return the best fit of an effect from the first starts, those with the least error first.
 
-    Of places `along` the arm those that are worse than their neighbours lead to the same fit.
+    Of places `along` the arm those that are worse than their neighbours lead to the same fit. A
+    start is not followed if a linear step from it, less what gains may come, leaves it as far
+    behind the line as a `race` allows.
     """
     fitter, best = session.fitter, None
     rows = list[tuple[float, dict[FreeParameter, float]]]()
@@ -222,16 +228,24 @@ def _fitted(
             if free.key in start
         }
         with suppress(*FAILURES):
-            search = fitter.search(tuple(frees), frees)
+            search = fitter.search(tuple(frees), frees, near=base.settled)
             rows.append((float(search.r @ search.r), frees))
     errors = np.pad([error for error, _ in rows], 1, constant_values=np.inf)
     lowest = errors[1:-1] <= np.minimum(errors[:-2], errors[2:])
     likely = [row for row, own in zip(rows, lowest, strict=True) if own or not along]
     for _, frees in sorted(likely, key=lambda row: row[0])[:BEST_FEW]:
         candidate = Candidate((name,), tuple(frees), present=False)
-        hopeless = line if best is None else min(line, best.score)
+        hopeless = (line if best is None else min(line, best.score)) - 2.0 * len(frees)
         with suppress(*FAILURES):
-            fit = fitter.fit(candidate.frees, frees, hopeless=hopeless - 2.0 * len(frees))
+            search = fitter.search(candidate.frees, frees)
+            estimated = fitter.estimate(search).deviance
+            gain = max(base.deviance - estimated, 0.0)
+            if estimated - GAINS_TO_COME * gain <= hopeless + NEAR_SCORE:
+                fit = fitter.fit(candidate.frees, frees, hopeless=hopeless)
+            elif best is None:
+                fit = fitter.freeze(search)
+            else:
+                continue
             if best is None or fit.deviance < best.fit.deviance:
                 best = session.rank(candidate, fit)
     return best
