@@ -195,7 +195,7 @@ def fit_placed(session: Session, base: Fit, line: float) -> list[Ranked]:
         best = _fitted(session, name, starts, base, line, along=name != 'contact')
         load = fitted.get('point_load')
         if name == 'tether' and load is not None and load.score < base.deviance:
-            both = best, _fitted(session, name, screen.springs(load), base, line)
+            both = best, _fitted(session, name, screen.springs(load), base, line, few=1)
             best = min(filter(None, both), key=lambda one: one.score, default=None)
         if best is not None:
             fitted[name] = best
@@ -209,9 +209,10 @@ def _fitted(
     base: Fit,
     line: float,
     along: bool = False,
+    few: int = BEST_FEW,
 ) -> Ranked | None:
     """
-    Return the best fit of an effect from the first starts, those with the least error first.
+    Return the best fit of an effect from the `few` starts with the least error.
 
     Of places `along` the arm those that are worse than their neighbours lead to the same fit. A
     start is not followed if a linear step from it, less what gains may come, leaves it as far
@@ -233,7 +234,7 @@ def _fitted(
     errors = np.pad([error for error, _ in rows], 1, constant_values=np.inf)
     lowest = errors[1:-1] <= np.minimum(errors[:-2], errors[2:])
     likely = [row for row, own in zip(rows, lowest, strict=True) if own or not along]
-    for _, frees in sorted(likely, key=lambda row: row[0])[:BEST_FEW]:
+    for _, frees in sorted(likely, key=lambda row: row[0])[:few]:
         candidate = Candidate((name,), tuple(frees), present=False)
         hopeless = (line if best is None else min(line, best.score)) - 2.0 * len(frees)
         with suppress(*FAILURES):
