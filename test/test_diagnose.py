@@ -59,7 +59,7 @@ def test_a_cause_outside_the_catalogue_is_called_so():
     assert not found.adds
 
 
-@pytest.mark.long
+@pytest.mark.slow  # `make test-blind` says the same of this case
 def test_a_cable_that_holds_the_arm_at_a_disk_is_a_string_or_a_force_at_a_place():
     found = diagnose(load_dataset(blind('g') / 'fit'))
     assert found.verdict == 'ambiguous'

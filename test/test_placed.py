@@ -46,6 +46,13 @@ CASES = [
     ('planar', 'as built'),
     slow('spatial', 'as built'),
 ]
+# in `make test` a wall stands for all that pushes an arm as built
+FEWER = [
+    slow('planar', 'exact'),
+    ('spatial', 'exact'),
+    slow('planar', 'as built'),
+    slow('spatial', 'as built'),
+]
 
 
 def middle(arm):
@@ -72,7 +79,7 @@ def assert_told(told, true):
         assert abs(value + turns - one.value) < 3.0 / 1.96 * 0.5 * (one.high - one.low), key
 
 
-@pytest.mark.parametrize(('arm', 'built'), CASES)
+@pytest.mark.parametrize(('arm', 'built'), FEWER)
 def test_a_string_is_named_with_its_place_and_its_fixed_point(arm, built):
     _, _, point, tension = ARMS[arm]
     anchor = dict(zip(('point_x', 'point_y', 'point_z'), point, strict=True))
@@ -120,7 +127,7 @@ def test_a_string_that_imitates_stiff_and_soft_cells_does_not_beat_a_tip_load():
     assert {*found.cannot_tell_apart} <= {'tip_load', 'tether'}
 
 
-@pytest.mark.parametrize(('arm', 'built'), CASES)
+@pytest.mark.parametrize(('arm', 'built'), FEWER)
 def test_a_constant_force_within_the_arm_is_named_with_its_place(arm, built):
     """A string from far away is the same, which the verdict then says."""
     force = {'force_x': 0.5 * ARMS[arm][3], 'force_z': -0.5 * ARMS[arm][3]}

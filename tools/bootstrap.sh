@@ -7,13 +7,13 @@
 # The interpreter is $PYTHON if set, else that of a sourced ROS 2 Jazzy (whose packages are then
 # used), else a Python 3.12 on PATH, under pyenv or under uv; without ROS its wheels are installed.
 # A second run installs nothing, unless the files named in `recipe` have changed. VENV chooses
-# another folder.
+# another folder, EXTRAS=docs what else comes with the first one.
 set -eu
 
 here=$(cd "$(dirname "$0")/.." && pwd)
 venv=${VENV:-$here/.venv}
 stamp=$venv/installed-for
-extras='viewer,report,bags,tables,cluster,dynamixel,serial,test,colcon,dev'
+extras=viewer,report,bags,tables,cluster,dynamixel,serial,test,colcon,dev${EXTRAS:+,$EXTRAS}
 
 say() { printf '%s\n' "$*" >&2; }
 
