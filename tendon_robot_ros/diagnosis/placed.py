@@ -30,6 +30,8 @@ from ..inference.session import NEAR_SCORE, Session
 
 Start = Mapping[str, float]  # parameter -> SI
 DIRECTIONS = 200  # [1] of a wall or a string, because neighbours of so many are 15° apart
+# [1] of a wall, the best near each of these, because half of its gain may be gone 5° off
+WALLS = 2000
 # [1] arm lengths from the place to where a string is fixed, because its direction turns twice as
 # fast at each as at the next
 DISTANCES = (0.25, 0.5, 1.0, 2.0, 4.0)
@@ -140,21 +142,22 @@ class Screen:
         Yield walls that the measured arm just touches, those that gain most first.
 
         They push where the arm is nearest to them, in the postures in which it would be behind.
+        The best near every direction stands for its neighbours.
         """
-        rows, every = [], np.arange(self.gain.shape[1])
-        for normal in directions():
+        best, every = dict[int, tuple[float, Start]](), np.arange(self.gain.shape[1])
+        normals = directions(WALLS)
+        for near, normal in zip(np.argmax(normals @ directions().T, axis=1), normals, strict=True):
             distance = float((-self.measured @ normal).max())
             nearest = np.argmin(self.measured @ normal, axis=0)
             behind = -(self.free[nearest, every] @ normal) > distance
             gain = np.maximum(self.gain[nearest, every] @ normal, 0.0) * behind
             weight = self.weight[nearest, every, :, every] @ normal @ normal
-            flat = {
-                'distance': distance,
-                'azimuth': float(np.arctan2(normal[1], normal[0])),
-                'elevation': float(np.arcsin(normal[2])),
-            }
-            rows.append((float((gain**2 / np.maximum(weight, 1e-300)).sum()), flat))
-        for _, start in sorted(rows, key=lambda row: -row[0]):
+            gained = float((gain**2 / np.maximum(weight, 1e-300)).sum())
+            if near not in best or gained > best[near][0]:
+                azimuth, elevation = np.arctan2(normal[1], normal[0]), np.arcsin(normal[2])
+                flat = {'azimuth': float(azimuth), 'elevation': float(elevation)}
+                best[near] = gained, {'distance': distance, **flat}
+        for _, start in sorted(best.values(), key=lambda row: -row[0]):
             yield start
 
 
@@ -164,10 +167,10 @@ def in_base_frame(predictor: Predictor, vectors: Floats) -> Floats:
     return vectors @ np.linalg.inv(seen[:3] - seen[3])
 
 
-def directions() -> Floats:
-    """Return `DIRECTIONS` unit vectors (m, 3), evenly spread (a spiral by the golden angle)."""
-    up = 1.0 - (2.0 * np.arange(DIRECTIONS) + 1.0) / DIRECTIONS
-    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(DIRECTIONS)
+def directions(count: int = DIRECTIONS) -> Floats:
+    """Return unit vectors (count, 3), evenly spread (a spiral by the golden angle)."""
+    up = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
     flat = np.sqrt(1.0 - up**2)
     return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), up])
 
@@ -212,11 +215,11 @@ def _fitted(
     few: int = BEST_FEW,
 ) -> Ranked | None:
     """
-    Return the best fit of an effect from the `few` starts with the least error.
+    Return the best fit of an effect from the `few` starts that a linear step leaves best.
 
     Of places `along` the arm those that are worse than their neighbours lead to the same fit. A
-    start is not followed if a linear step from it, less what gains may come, leaves it as far
-    behind the line as a `race` allows.
+    start is not followed if that step, less what gains may come, leaves it as far behind the line
+    as a `race` allows.
     """
     fitter, best = session.fitter, None
     rows = list[tuple[float, dict[FreeParameter, float]]]()
@@ -230,23 +233,21 @@ def _fitted(
         }
         with suppress(*FAILURES):
             search = fitter.search(tuple(frees), frees, near=base.settled)
-            rows.append((float(search.r @ search.r), frees))
-    errors = np.pad([error for error, _ in rows], 1, constant_values=np.inf)
-    lowest = errors[1:-1] <= np.minimum(errors[:-2], errors[2:])
+            rows.append((fitter.estimate(search).deviance, frees))
+    estimates = np.pad([estimate for estimate, _ in rows], 1, constant_values=np.inf)
+    lowest = estimates[1:-1] <= np.minimum(estimates[:-2], estimates[2:])
     likely = [row for row, own in zip(rows, lowest, strict=True) if own or not along]
-    for _, frees in sorted(likely, key=lambda row: row[0])[:few]:
+    for estimate, frees in sorted(likely, key=lambda row: row[0])[:few]:
         candidate = Candidate((name,), tuple(frees), present=False)
         hopeless = (line if best is None else min(line, best.score)) - 2.0 * len(frees)
+        gain = max(base.deviance - estimate, 0.0)
         with suppress(*FAILURES):
-            search = fitter.search(candidate.frees, frees)
-            estimated = fitter.estimate(search).deviance
-            gain = max(base.deviance - estimated, 0.0)
-            if estimated - GAINS_TO_COME * gain <= hopeless + NEAR_SCORE:
+            if estimate - GAINS_TO_COME * gain <= hopeless + NEAR_SCORE:
                 fit = fitter.fit(candidate.frees, frees, hopeless=hopeless)
             elif best is None:
-                fit = fitter.freeze(search)
+                fit = fitter.freeze(fitter.search(candidate.frees, frees))
             else:
-                continue
+                break
             if best is None or fit.deviance < best.fit.deviance:
                 best = session.rank(candidate, fit)
     return best
