@@ -7,7 +7,7 @@
 # The interpreter is $PYTHON if set, else that of a sourced ROS 2 Jazzy (whose packages are then
 # used), else a Python 3.12 on PATH, under pyenv or under uv; without ROS its wheels are installed.
 # A second run installs nothing, unless the files named in `recipe` have changed. VENV chooses
-# another folder, EXTRAS=docs what else comes with the first one.
+# another folder. EXTRAS=docs installs further extras of setup.py, too, where .venv is new.
 set -eu
 
 here=$(cd "$(dirname "$0")/.." && pwd)

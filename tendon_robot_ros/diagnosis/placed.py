@@ -30,7 +30,8 @@ from ..inference.session import NEAR_SCORE, Session
 
 Start = Mapping[str, float]  # parameter -> SI
 DIRECTIONS = 200  # [1] of a wall or a string, because neighbours of so many are 15° apart
-# [1] of a wall, the best near each of these, because half of its gain may be gone 5° off
+# [1] of a wall, 5° apart, because half of its gain may be gone 10° off; the best one near each of
+# `DIRECTIONS` is a start
 WALLS = 2000
 # [1] arm lengths from the place to where a string is fixed, because its direction turns twice as
 # fast at each as at the next
