@@ -21,7 +21,7 @@ from ..common.arrays import Floats
 from ..effects import Effect
 from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
-from ..inference.fitter import BEST_FEW, FAILURES, GAINS_TO_COME, Fitter
+from ..inference.fitter import BEST_FEW, FAILURES, GAINS_TO_COME, Descent, Fitter
 from ..inference.imperfections import pushes
 from ..inference.intervals import QUANTILE
 from ..inference.predict import FreeParameter, Point, Predictor, free_parameters
@@ -216,42 +216,49 @@ def _fitted(
     few: int = BEST_FEW,
 ) -> Ranked | None:
     """
-    Return the best fit of an effect from the `few` starts that a linear step leaves best.
+    Return the fit of an effect from the best of the `few` starts that a linear step leaves best.
 
     Of places `along` the arm those that are worse than their neighbours lead to the same fit. A
     start is not followed if that step, less what gains may come, leaves it as far behind the line
-    as a `race` allows.
+    as a `race` allows; the best after a first search is fitted to the end.
     """
-    fitter, best = session.fitter, None
-    rows = list[tuple[float, dict[FreeParameter, float]]]()
-    reach = DISTANCES[-1] * session.robot.length  # a string from farther away is as good as a load
+    fitter, reach = session.fitter, DISTANCES[-1] * session.robot.length  # farther: as a load
     every = [within(f, reach) for f in free_parameters(session.catalogue[name], session.robot)]
+    rows, sizes = list[tuple[float, dict[FreeParameter, float]]](), fitter.random.start
     for start in sorted(islice(starts, STARTS), key=lambda start: start.get('arc_length', 0.0)):
-        frees = {
+        values = {
             free: float(np.clip(start[free.key], free.parameter.low, free.parameter.high))
             for free in every
             if free.key in start
         }
         with suppress(*FAILURES):
-            search = fitter.search(tuple(frees), frees, near=base.settled)
-            rows.append((fitter.estimate(search).deviance, frees))
+            search = fitter.search(tuple(values), values, near=base.settled)
+            fitter.sizes = sizes
+            estimated = fitter.estimate(search)
+            sizes = estimated.values  # of imperfections; those of the next one are alike
+            rows.append((estimated.deviance, values))
     estimates = np.pad([estimate for estimate, _ in rows], 1, constant_values=np.inf)
     lowest = estimates[1:-1] <= np.minimum(estimates[:-2], estimates[2:])
     likely = [row for row, own in zip(rows, lowest, strict=True) if own or not along]
-    for estimate, frees in sorted(likely, key=lambda row: row[0])[:few]:
-        candidate = Candidate((name,), tuple(frees), present=False)
-        hopeless = (line if best is None else min(line, best.score)) - 2.0 * len(frees)
-        gain = max(base.deviance - estimate, 0.0)
+    descents = list[Descent]()
+    for estimate, values in sorted(likely, key=lambda row: row[0])[:few]:
+        candidate = Candidate((name,), tuple(values), present=False)
+        hopeless = line - 2.0 * len(values)
+        to_come = GAINS_TO_COME * max(base.deviance - estimate, 0.0)
+        far = estimate - to_come > hopeless + NEAR_SCORE
+        if far and descents:
+            break
         with suppress(*FAILURES):
-            if estimate - GAINS_TO_COME * gain <= hopeless + NEAR_SCORE:
-                fit = fitter.fit(candidate.frees, frees, hopeless=hopeless)
-            elif best is None:
-                fit = fitter.freeze(fitter.search(candidate.frees, frees))
-            else:
-                break
-            if best is None or fit.deviance < best.fit.deviance:
-                best = session.rank(candidate, fit)
-    return best
+            search = fitter.search(candidate.frees, values)
+            if far:
+                return session.rank(candidate, fitter.freeze(search))
+            descents.append(Descent(fitter, search))
+    if not descents:
+        return None
+    best = min(descents, key=lambda one: one.place.deviance)
+    while not best.converged:
+        best.go_on(hopeless)
+    return session.rank(candidate, best.fit())
 
 
 def ways(name: str, postures: int) -> int:
