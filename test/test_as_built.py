@@ -79,9 +79,9 @@ def test_a_cell_of_its_own_moves_the_markers_as_the_whole_model_does():
     predictor = Predictor(case('messy_s0'), case('messy_s0').robot, CATALOGUE)
     split = SplitPredictor(predictor)
     np.testing.assert_allclose(split.markers({}), predictor.markers({}), atol=1e-12)
-    n = split.whole.cells
+    n = split.robot.cells
     split.around = {'cell_kink': np.tile([1e-3, 0.0], n)}
-    free = free_parameters(CATALOGUE['pre_curvature'], split.whole)[0]
+    free = free_parameters(CATALOGUE['pre_curvature'], split.robot)[0]
     np.testing.assert_allclose(split.markers({}), predictor.markers({free: 1e-3}), atol=1e-9)
 
 
@@ -103,7 +103,7 @@ def test_masses_beside_the_axis_are_those_of_the_cells():
 def test_slopes_of_imperfections_are_those_of_settled_shapes(name, hidden):
     dataset = case(name).select(case(name).postures[:4])
     split = SplitPredictor(Predictor(dataset, dataset.robot, CATALOGUE))
-    (free,) = free_parameters(CATALOGUE[hidden], split.whole)
+    (free,) = free_parameters(CATALOGUE[hidden], split.robot)
     found = imperfections(split, {free: free.parameter.typical})
     first = {kind: list(np.flatnonzero(found.owners == k)) for k, kind in enumerate(found.kinds)}
     for kind, columns in list(first.items())[:-1]:
@@ -170,7 +170,7 @@ def test_the_noise_of_inputs_acts_on_the_arm_as_it_is_built():
         Question.of(dataset, dataset.robot, CATALOGUE),
         SplitPredictor(Predictor(dataset, dataset.robot, CATALOGUE)),
     )
-    n, seen = split.whole.cells, []
+    n, seen = split.robot.cells, []
     members = {'cell_kink': np.full(n, 0.05), 'channel_gain': np.array([0.2, 0.1])}
     for at in ({}, members):
         session = question.weigh({}, at)

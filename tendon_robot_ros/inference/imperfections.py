@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
@@ -19,13 +19,12 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..data import DataSet
-from ..effects import Catalogue
 from ..model.derivatives import DIFFERENCE_STEP, Entries, Move
 from ..model.shape import ShapeBatch
 from ..robot import Robot
-from ..robot.description import EffectValues, tendon_offsets
+from ..robot.description import tendon_offsets
 from ..robot.estimates import natural_sizes
-from .predict import CELLS, Conditions, FreeParameter, Point, Predictor
+from .predict import CELLS, Conditions, Point, Predictor
 
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
@@ -120,26 +119,12 @@ def planar_axis(robot: Robot) -> int | None:
 
 
 class SplitPredictor(Predictor):
-    """
-    A predictor of the same arm with a section per cell, so that every cell has own parameters.
-
-    It predicts the arm with the imperfections `around`; without any, as described.
-    """
+    """A predictor of the arm with the imperfections `around`; without any, as described."""
 
     def __init__(self, predictor: Predictor) -> None:
-        """Split the robot of a predictor."""
-        self.whole = predictor.robot
-        self.axis = planar_axis(self.whole)
-        super().__init__(
-            predictor.dataset,
-            split_robot(predictor.robot, predictor.model.catalogue),
-            predictor.model.catalogue,
-        )
-        self._spread: dict[FreeParameter, tuple[FreeParameter, ...]] = {}
-        ends = np.cumsum([section.cells for section in self.whole.sections])
-        self._spans = [
-            slice(end - s.cells, end) for end, s in zip(ends, self.whole.sections, strict=True)
-        ]
+        """Build the model of a predictor again."""
+        super().__init__(predictor.dataset, predictor.robot, predictor.model.catalogue)
+        self.axis = planar_axis(self.robot)
         self._offsets = self.model.arrays.offset.copy()
         layout, effect = self.model.arrays.layout, self.model.catalogue[REST]
         self.rests = [layout.rows[REST, parameter.name] for parameter in effect.parameters]
@@ -150,20 +135,20 @@ class SplitPredictor(Predictor):
 
         Unless `every` is asked for, an arm that is described as exact has declared kinds only.
         """
-        cells = self.whole.cell_names
+        cells = self.robot.cell_names
         axis = self.axis
         kinks = [f'{cell} towards {xy}' for cell in cells for xy in 'xy']
         labels = {CELLS: list(cells), KINK: kinks}
         if axis is not None:
             labels |= {KINK: kinks[axis::2], ACROSS: kinks[1 - axis :: 2]}
-        labels[GAIN] = list(self.whole.inputs)  # under tensions, holes act as gains too
+        labels[GAIN] = list(self.robot.inputs)  # under tensions, holes act as gains too
         if self.dataset.input == 'displacement':
-            labels |= {HOLE: [t.name for t in self.whole.tendons], ZERO: list(self.whole.inputs)}
-        known = self.whole.tolerances
+            labels |= {HOLE: [t.name for t in self.robot.tendons], ZERO: list(self.robot.inputs)}
+        known = self.robot.tolerances
         labels |= {name: list('xyz') for name in (POSITION, ROTATION) if name not in known}
-        if self.whole.exact and not every:
+        if self.robot.exact and not every:
             labels = {name: labels[name] for name in (CELLS,) if name in known}
-        kinds, larger = [], max(self.whole.length / PLAUSIBLE_LENGTH, 1.0)
+        kinds, larger = [], max(self.robot.length / PLAUSIBLE_LENGTH, 1.0)
         for name, members in labels.items():
             unit, plausible, _ = PLAUSIBLE_SIZES[name]
             usual = plausible * (larger if unit == 'm' else 1.0)
@@ -179,7 +164,7 @@ class SplitPredictor(Predictor):
         Misplaced holes then act like gains. They widen intervals but not the test of an effect,
         because both rarely add up; a declared gain includes them.
         """
-        known = self.whole.tolerances
+        known = self.robot.tolerances
         if name != GAIN or name in known or self.dataset.input != 'tension':
             return 0.0
         return float(known.get(HOLE, PLAUSIBLE_SIZES[HOLE][1]))
@@ -188,10 +173,9 @@ class SplitPredictor(Predictor):
         self, point: Point, part: Conditions, stiffness: Floats | None = None
     ) -> None:
         """Set the parameters and imperfections; see `Predictor.set_parameters`."""
-        split = {one: value for free, value in point.items() for one in self.spread(free)}
         off, arrays = self.around, self.model.arrays
-        own = 1.0 + off.get(CELLS, np.zeros(self.whole.cells))
-        super().set_parameters(split, part, own if stiffness is None else own * stiffness)
+        own = 1.0 + off.get(CELLS, np.zeros(self.robot.cells))
+        super().set_parameters(point, part, own if stiffness is None else own * stiffness)
         arrays.offset[:] = self._offsets * (1.0 + off.get(HOLE, np.zeros(1))[None, :, None])
         kinks = self.kinks()
         if kinks.any():
@@ -201,7 +185,7 @@ class SplitPredictor(Predictor):
     def kinks(self) -> Floats:
         """Return the bend at rest of every cell (n, 2) [rad] by imperfections."""
         axis, off = self.axis, self.around
-        kinks = np.zeros((self.whole.cells, 2))
+        kinks = np.zeros((self.robot.cells, 2))
         if axis is None:
             return np.asarray(kinks + off.get(KINK, kinks).reshape(-1, 2))
         kinks[:, axis] = off.get(KINK, 0.0)
@@ -246,56 +230,6 @@ class SplitPredictor(Predictor):
             across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # p @ it: turn x p
             placed = placed + (placed.reshape(-1, 3) @ across).reshape(placed.shape)
         return placed + off[POSITION] if POSITION in off else placed
-
-    def value(self, free: FreeParameter) -> float:
-        """Value that the description gives a parameter; see `Predictor.value`."""
-        return super().value(self.spread(free)[0])
-
-    def spread(self, free: FreeParameter) -> tuple[FreeParameter, ...]:
-        """Return a free parameter of one section as those of its cells."""
-        if free.column is None or not free.parameter.per_section:
-            return (free,)
-        if free not in self._spread:
-            span = self._spans[free.column]
-            own = tuple(replace(free, column=i) for i in range(span.start, span.stop))
-            self._spread[free] = own
-        return self._spread[free]
-
-    def columns(self, free: FreeParameter) -> slice:
-        """Return the cells or tendons to which a free parameter applies; see `Predictor`."""
-        if free.column is None or not free.parameter.per_section:
-            return super().columns(free)
-        return self._spans[free.column]
-
-
-def split_robot(robot: Robot, catalogue: Catalogue) -> Robot:
-    """Return the same robot with every cell a section of its own."""
-    sections = tuple(
-        replace(
-            s,
-            name=f'{s.name} {i + 1}',
-            cells=1,
-            bending_stiffness=(s.bending_stiffness[i],),
-            mass_profile=(s.mass_profile[i],),
-            mass_offset=s.mass_offset[i : i + 1],
-        )
-        for s in robot.sections
-        for i in range(s.cells)
-    )
-    ends = {s.name: f'{s.name} {s.cells}' for s in robot.sections}
-    cells = [s.cells for s in robot.sections]
-    wide = {(e.name, p.name) for e in catalogue for p in e.parameters if p.per_section}
-    effects: dict[str, EffectValues] = {
-        name: {
-            key: tuple(np.repeat(value, cells).tolist())
-            if isinstance(value, tuple) and (name, key) in wide
-            else value
-            for key, value in values.items()
-        }
-        for name, values in robot.effects.items()
-    }
-    tendons = tuple(replace(tendon, section=ends[tendon.section]) for tendon in robot.tendons)
-    return replace(robot, sections=sections, tendons=tendons, effects=effects, fitted={})
 
 
 def imperfections(

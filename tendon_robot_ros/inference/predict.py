@@ -220,8 +220,9 @@ class Predictor:
         """Value that the description gives a parameter (neutral where it is not listed)."""
         if free.effect not in self.model.catalogue:
             return 0.0
-        row = self.model.arrays.layout.rows[free.effect, free.parameter.name]
-        return float(self._values[row, free.column or 0])
+        arrays, name = self.model.arrays, free.parameter.name
+        columns = arrays.columns(free.effect, name, free.column)
+        return float(self._values[arrays.layout.rows[free.effect, name], columns.start or 0])
 
     def start(self, free: FreeParameter) -> float:
         """Value in the description, moved inside the bounds of a fit."""
@@ -420,17 +421,13 @@ class Predictor:
         value, own = point.get(free, self.value(free)), free.parameter
         ends = self._ends(point, free)
         if self.is_effect(free) and (free.effect, own.name) not in part.known:
-            columns = self.columns(free)
+            columns = self.model.arrays.columns(free.effect, own.name, free.column)
             return Move.of_parameter(self.model, count, free.effect, own.name, columns, ends)
 
         def set_to(side: float) -> None:
             self.set_parameters({**point, free: value + side}, part)
 
         return Move.by(self.model, count, ends, set_to)
-
-    def columns(self, free: FreeParameter) -> slice:
-        """Return the columns of the sections or tendons that a free parameter belongs to."""
-        return slice(None) if free.column is None else slice(free.column, free.column + 1)
 
     def unsettled(self, point: Point | None = None) -> tuple[str, ...]:
         """Name the postures without an equilibrium (as described), each loaded from straight."""

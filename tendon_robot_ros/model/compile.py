@@ -24,7 +24,7 @@ from ..common.errors import EffectError, RobotDescriptionError
 from ..common.files import cache_folder
 from ..common.processes import child_environment
 from ..common.words import COMPILING
-from ..effects import STAGES, Catalogue, Parameter, load_catalogue
+from ..effects import STAGES, Catalogue, load_catalogue
 from ..robot import Robot
 from ..robot.description import helix_angles, tendon_offsets
 from ..robot.estimates import stiffnesses
@@ -55,6 +55,8 @@ class Layout:
         effect -> entry of Chain.on.
     members : dict
         stage -> entries of Chain.on of its effects.
+    per_section : set
+        (effect, parameter) that sections have their own value of.
 
     """
 
@@ -63,6 +65,9 @@ class Layout:
         names = [(effect.name, p.name) for effect in catalogue for p in effect.parameters]
         self.rows = {name: row for row, name in enumerate(names)}
         self.index = {effect.name: index for index, effect in enumerate(catalogue)}
+        self.per_section = {
+            (e.name, p.name) for e in catalogue for p in e.parameters if p.per_section
+        }
         self.members: dict[str, list[int]] = {stage: [] for stage in STAGES}
         for effect in catalogue:
             self.members[effect.stage].append(self.index[effect.name])
@@ -260,7 +265,12 @@ class KernelArrays:
         rows = [[cells, puller[k]] for k, cells in enumerate(robot.tendon_cells)]
         self.tendon = np.array(rows, dtype=np.int64)
         self.gravity = np.array(robot.gravity or (0.0, 0.0, 0.0))
-        wide = max(len(robot.sections), len(robot.tendons))
+        ends = np.cumsum([section.cells for section in robot.sections]).tolist()
+        # the cells of each section
+        self.spans = [
+            slice(end - s.cells, end) for end, s in zip(ends, robot.sections, strict=True)
+        ]
+        wide = max(robot.cells, len(robot.tendons))
         neutral = [[p.neutral] * wide for effect in catalogue for p in effect.parameters]
         self.values = np.array(neutral, dtype=float).reshape(-1, wide)
         self.on = np.zeros(len(self.layout.index), dtype=np.uint8)
@@ -296,16 +306,17 @@ class KernelArrays:
         if linked:
             self.link()
 
-    def columns(self, parameter: Parameter) -> tuple[str, ...]:
-        """Return whose values the columns of a parameter are: sections, tendons, or nobody's."""
-        if parameter.per == 'section':
-            return tuple(section.name for section in self.robot.sections)
-        return tuple(tendon.name for tendon in self.robot.tendons if parameter.per == 'tendon')
+    def columns(self, effect: str, parameter: str, owner: int | None) -> slice:
+        """Return where the values of one section or tendon, or of all, are: a column per cell."""
+        if owner is None:
+            return slice(None)
+        own = (effect, parameter) in self.layout.per_section
+        return self.spans[owner] if own else slice(owner, owner + 1)
 
-    def set(self, effect: str, parameter: str, column: int | None, value: float) -> None:
+    def set(self, effect: str, parameter: str, owner: int | None, value: float) -> None:
         """Set one parameter (of one section or tendon, or of all) and switch its effect on."""
         row = self.layout.rows[effect, parameter]
-        self.values[row, slice(None) if column is None else column] = value
+        self.values[row, self.columns(effect, parameter, owner)] = value
         self.act(effect)
 
     def act(self, effect: str) -> None:
@@ -314,9 +325,10 @@ class KernelArrays:
         if self.catalogue[effect].stage in LINKING_STAGES:
             self.link()
 
-    def get(self, effect: str, parameter: str, column: int | None = None) -> float:
+    def get(self, effect: str, parameter: str, owner: int | None = None) -> float:
         """Return one parameter (of one section or tendon)."""
-        return float(self.values[self.layout.rows[effect, parameter], column or 0])
+        columns = self.columns(effect, parameter, owner)
+        return float(self.values[self.layout.rows[effect, parameter], columns.start or 0])
 
     @property
     def unknowns(self) -> int:
@@ -342,11 +354,11 @@ class KernelArrays:
                 raise RobotDescriptionError(robot.source, where, 'one of ' + ', '.join(known), key)
             parameter = known[key]
             numbers = value if isinstance(value, tuple) else (value,)
-            if isinstance(value, tuple) and len(value) != len(self.columns(parameter)):
-                expected = 'one number'
-                if parameter.per:
-                    count = len(self.columns(parameter))
-                    expected = f'{count} numbers (one per {parameter.per})'
+            counts = {'section': len(robot.sections), 'tendon': len(robot.tendons), '': 0}
+            count = counts[parameter.per]
+            if isinstance(value, tuple) and len(value) != count:
+                each = f'{count} numbers (one per {parameter.per})'
+                expected = each if parameter.per else 'one number'
                 raise RobotDescriptionError(robot.source, where, expected, list(value))
             low, high = parameter.described_bounds
             for number in numbers:
@@ -354,8 +366,9 @@ class KernelArrays:
                     expected = f'a number from {low:g} to {high:g} [{parameter.unit}]'
                     raise RobotDescriptionError(robot.source, where, expected, number)
             row = self.values[self.layout.rows[name, key]]
-            row[: len(numbers)] = numbers
-            row[len(numbers) :] = numbers[0]
+            row[:] = numbers[0]
+            for owner, number in enumerate(numbers):
+                row[self.columns(name, key, owner)] = number
         missing = [p.name for p in known.values() if not (p.has_default or p.name in values)]
         if effect.always_on and missing:
             raise RobotDescriptionError(robot.source, f'effects.{name}', ', '.join(missing), None)
@@ -420,14 +433,13 @@ class KernelArrays:
 
 
 def cell_rows(robot: Robot) -> Floats:
-    """Return a row (n, 8) per cell, in the columns of the kernel (`CELL_COLUMNS`)."""
-    sections = [(i, s) for i, s in enumerate(robot.sections) for _ in range(s.cells)]
+    """Return a row (n, 7) per cell, in the columns of the kernel (`CELL_COLUMNS`)."""
+    sections = [section for section in robot.sections for _ in range(section.cells)]
     profile = np.concatenate([s.mass_profile for s in robot.sections])
-    rows = np.empty((robot.cells, 8))
+    rows = np.empty((robot.cells, 7))
     rows[:, 0], rows[:, 1] = robot.cell_lengths, stiffnesses(robot)
     rows[:, 2] = profile * robot.cell_lengths
-    rows[:, 3] = [section.bends_as == 'hinge' for _, section in sections]
-    rows[:, 4] = [index for index, _ in sections]
-    rows[:, 5] = [sum(i < end for end in robot.tendon_cells) for i in range(robot.cells)]
-    rows[:, 6:] = [xy for s in robot.sections for xy in s.mass_offset or [(0.0, 0.0)] * s.cells]
+    rows[:, 3] = [section.bends_as == 'hinge' for section in sections]
+    rows[:, 4] = [sum(i < end for end in robot.tendon_cells) for i in range(robot.cells)]
+    rows[:, 5:] = [xy for s in robot.sections for xy in s.mass_offset or [(0.0, 0.0)] * s.cells]
     return rows

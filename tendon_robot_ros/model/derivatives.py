@@ -452,16 +452,16 @@ def move_of(model: ForwardModel, shapes: ShapeBatch, column: Column) -> Move:
             raise InputError(f'unknown input {column!r}; known: {", ".join(model.inputs)}')
         return Move.of_tension(model.inputs.index(column), shapes.inputs, longer * TENSION_STEP)
     effect, name = column[:2]
-    section: int | None = column[2] if len(column) == 3 else None
+    owner: int | None = column[2] if len(column) == 3 else None
     known = {p.name: p for p in model.catalogue[effect].parameters}
     if name not in known:
         raise InputError(f'{effect}: unknown parameter {name!r}; known: {", ".join(known)}')
-    value, parameter = model.arrays.get(effect, name, section), known[name]
+    value, parameter = model.arrays.get(effect, name, owner), known[name]
     step = longer * DIFFERENCE_STEP * max(abs(value), parameter.typical)
     # a description may say more than a fit may: from there one-sided, too
     low, high = min(parameter.low, value), max(parameter.high, value)
     ends = max(-step, low - value), min(step, high - value)
-    columns = slice(None) if section is None else section
+    columns = model.arrays.columns(effect, name, owner)
     return Move.of_parameter(model, len(shapes), effect, name, columns, ends)
 
 

@@ -325,9 +325,9 @@ def workspace_library(model: ForwardModel) -> ShapeBatch:
     Tensions concentrate where a section bends by less than three quarters of a turn, and half of
     the postures leave one of two opposing tendons at its lower limit.
     """
-    cells, random = model.arrays.cells, np.random.default_rng(1)
-    per_newton = np.linalg.norm(model.arrays.offset, axis=2) / cells[:, 1:2]  # (n, k) [rad/N]
-    by_section = [per_newton[cells[:, 4] == s] for s in range(len(model.robot.sections))]
+    arrays, random = model.arrays, np.random.default_rng(1)
+    per_newton = np.linalg.norm(arrays.offset, axis=2) / arrays.cells[:, 1:2]  # (n, k) [rad/N]
+    by_section = [per_newton[span] for span in arrays.spans]
     useful = [
         USEFUL_BEND_RAD / max(rates[:, members].sum() for rates in by_section)
         for members in map(list, model.robot.input_tendons)

@@ -97,7 +97,7 @@ def draw_cross_section(axes: Any, model: Model) -> None:
 
     robot = model.robot
     colours = {s.name: COLOURS[i % len(COLOURS)] for i, s in enumerate(robot.own_sections)}
-    places = (model.arrays.offset, model.arrays.cells[:, 6:])
+    places = (model.arrays.offset, model.arrays.cells[:, 5:])
     largest = 1e3 * max(float(np.abs(at).max()) for at in places)
     axes.add_patch(Circle((0.0, 0.0), 1.3 * largest, fill=False, color=FLOOR))
     holes: dict[tuple[float, float], list[str]] = {}  # [mm], tendons that begin there
@@ -115,7 +115,7 @@ def draw_cross_section(axes: Any, model: Model) -> None:
         side = ('right', 'center', 'left')[round(hole[0] / size) + 1]
         line = {'arrowstyle': '-', 'color': FLOOR}
         axes.annotate('\n'.join(names), hole, beyond, va='center', ha=side, arrowprops=line)
-    beside = 1e3 * model.arrays.cells[:, 6:]
+    beside = 1e3 * model.arrays.cells[:, 5:]
     if beside.any():
         axes.plot(*beside.T, 'x', color=ERROR, label='weight of the cells')
     for name, colour in colours.items():

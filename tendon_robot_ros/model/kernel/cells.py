@@ -13,7 +13,7 @@ asks for.
 import math
 
 from . import layout, stages
-from .layout import cell, compiled, floats, fused, inlined, section_of
+from .layout import cell, compiled, floats, fused, inlined
 
 
 @compiled
@@ -241,43 +241,41 @@ def chain_frames(chain, bend, work):
 
 
 @compiled
-def cell_stiffness(chain, i, section):
+def cell_stiffness(chain, i):
     """Bending stiffness of cell i with the tendons in it [N·m/rad]."""
     return stages.stiffness(
-        cell(chain, i, layout.STIFFNESS), cell(chain, i, layout.PRESENT), chain, section
+        cell(chain, i, layout.STIFFNESS), cell(chain, i, layout.PRESENT), chain, i
     )
 
 
 @compiled
 def twist_of(chain, i, about):
     """Twist [rad] of cell i under a moment about its axis [N·m]."""
-    section = section_of(chain, i)
-    return stages.torsion(0.0, about, cell_stiffness(chain, i, section), chain, section)
+    return stages.torsion(0.0, about, cell_stiffness(chain, i), chain, i)
 
 
 @compiled
 def elastic_moment(chain, i, bx, by):
     """Moment (x, y) [N·m] that holds a bend against the backbone's elasticity."""
-    section = section_of(chain, i)
-    x0, y0 = stages.rest(0.0, 0.0, chain, section)
+    x0, y0 = stages.rest(0.0, 0.0, chain, i)
     x, y = bx - x0, by - y0
-    k = cell_stiffness(chain, i, section) * stages.stiffening(1.0, x * x + y * y, chain, section)
+    k = cell_stiffness(chain, i) * stages.stiffening(1.0, x * x + y * y, chain, i)
     return k * x, k * y
 
 
 @compiled
-def bend_of(chain, k, size, section):
+def bend_of(chain, k, size, i):
     """Solve K t stiffening(t²) = size for the bend t >= 0; NaN when there is none."""
     t = size / k
     if not stages.stiffening_acts(chain):
         return t
     t = min(t, 1.0)
     for _ in range(60):
-        g = stages.stiffening(1.0, t * t, chain, section)
+        g = stages.stiffening(1.0, t * t, chain, i)
         h = layout.DIFFERENCE_STEP * (1.0 + t)
         slope = (
-            stages.stiffening(1.0, (t + h) * (t + h), chain, section)
-            - stages.stiffening(1.0, (t - h) * (t - h), chain, section)
+            stages.stiffening(1.0, (t + h) * (t + h), chain, i)
+            - stages.stiffening(1.0, (t - h) * (t - h), chain, i)
         ) / (2.0 * h)
         step = (k * t * g - size) / (k * (g + t * slope))
         t -= step
@@ -312,7 +310,7 @@ def bend_linear(chain, work, i, mx, my, load_x, load_y, scale):
         Factor on the tendon offsets, and so on their moment [1].
 
     """
-    x0, y0 = stages.rest(0.0, 0.0, chain, section_of(chain, i))
+    x0, y0 = stages.rest(0.0, 0.0, chain, i)
     compliance = floats(work.compliance)[i]
     slope = scale * compliance
     return x0 + compliance * load_x + slope * mx, y0 + compliance * load_y + slope * my
@@ -321,15 +319,15 @@ def bend_linear(chain, work, i, mx, my, load_x, load_y, scale):
 @compiled
 def moment_held(chain, past, i, bx, by):
     """Moment (x, y) [N·m] that cell i holds against its bend after it has moved to (bx, by)."""
-    section, held, before = section_of(chain, i), floats(past.moment), floats(past.bend)
+    held, before = floats(past.moment), floats(past.bend)
     return stages.hysteresis(
         held[2 * i],
         held[2 * i + 1],
         bx - before[2 * i],
         by - before[2 * i + 1],
-        cell_stiffness(chain, i, section),
+        cell_stiffness(chain, i),
         chain,
-        section,
+        i,
     )
 
 
@@ -349,7 +347,7 @@ def bend_against(chain, past, i, mx, my):
     By Broyden's method from the bend in the posture before, with slopes (xx, xy; yx, yy) of which
     the first are the cell's stiffness; NaN where there is none.
     """
-    stiffness = cell_stiffness(chain, i, section_of(chain, i))
+    stiffness = cell_stiffness(chain, i)
     x, y = floats(past.bend)[2 * i], floats(past.bend)[2 * i + 1]
     fx, fy = unbalanced(chain, past, i, x, y, mx, my)
     xx, yx, xy, yy = stiffness, 0.0, 0.0, stiffness
@@ -377,11 +375,10 @@ def bend_against(chain, past, i, mx, my):
 @compiled
 def bend_cell(chain, past, i, mx, my, total):
     """Bend (x, y) of a cell under a moment [N·m] and the sum of tensions [N] that press it."""
-    section = section_of(chain, i)
     size = math.sqrt(mx * mx + my * my)
     if stages.moment_acts(chain) and size > 0.0:
         radius = chain.radius * stages.offset_scale(1.0, chain, 0)
-        factor = stages.moment(size, total, radius, chain, section) / size
+        factor = stages.moment(size, total, radius, chain, i) / size
         mx, my = mx * factor, my * factor
     if stages.joint_friction_acts(chain):
         hx, hy = 0.0, 0.0
@@ -391,13 +388,13 @@ def bend_cell(chain, past, i, mx, my, total):
         dx, dy = mx - hx, my - hy
         size = math.sqrt(dx * dx + dy * dy)
         if size > 0.0:
-            factor = stages.joint_friction(size, total, chain, section) / size
+            factor = stages.joint_friction(size, total, chain, i) / size
             mx, my = hx + dx * factor, hy + dy * factor
     if stages.hysteresis_acts(chain):
         return bend_against(chain, past, i, mx, my)
     size = math.sqrt(mx * mx + my * my)
-    x0, y0 = stages.rest(0.0, 0.0, chain, section)
+    x0, y0 = stages.rest(0.0, 0.0, chain, i)
     if size == 0.0:
         return x0, y0
-    t = bend_of(chain, cell_stiffness(chain, i, section), size, section) / size
+    t = bend_of(chain, cell_stiffness(chain, i), size, i) / size
     return x0 + t * mx, y0 + t * my

@@ -61,7 +61,6 @@ from .layout import (
     floats,
     keep,
     largest,
-    section_of,
     solve_small,
     words,
 )
@@ -499,7 +498,7 @@ def load_ratio(chain, work):
         for x, y, z in (weight(chain, i), pushed(chain, work, i)[0]):
             force += math.sqrt(x * x + y * y + z * z)
         reach = cell(chain, i, LENGTH)
-        rigidity = min(rigidity, reach * cell_stiffness(chain, i, section_of(chain, i)))
+        rigidity = min(rigidity, reach * cell_stiffness(chain, i))
         total += reach
     return force * total * total * 4.0 / (math.pi * math.pi * rigidity)
 

@@ -4,7 +4,7 @@ import math
 
 from . import layout, stages
 from .cells import follows_shape, half_turn, leans, twist_in
-from .layout import cell, compiled, entry, floats, fused, inlined, section_of, words
+from .layout import cell, compiled, entry, floats, fused, inlined, words
 
 
 @fused
@@ -27,7 +27,7 @@ def scale_lengths(chain, work):
         for k in range(chain.k):
             if i < tendon[2 * k]:
                 total += tensions[chain.k * i + k]
-        shortened = stages.length(1.0, total, chain, section_of(chain, i))
+        shortened = stages.length(1.0, total, chain, i)
         floats(work.lengths)[i] = cell(chain, i, layout.LENGTH) * shortened
 
 
@@ -45,7 +45,7 @@ def bent_path(chain, i, radial, bend, sin_half, cos_half):
         cell(chain, i, layout.LENGTH),
         cell(chain, i, layout.HINGE) > 0.5,
         chain,
-        section_of(chain, i),
+        i,
     )
 
 
@@ -152,7 +152,7 @@ def fill_travel(chain, i, x, y, s, c, twist, scale, work, path_lost):
         floats(work.axial)[at] = about
         moment_arms[2 * at] = along * ux - side * uy
         moment_arms[2 * at + 1] = along * uy + side * ux
-    x0, y0 = stages.rest(0.0, 0.0, chain, section_of(chain, i))
+    x0, y0 = stages.rest(0.0, 0.0, chain, i)
     if x0 != 0.0 or y0 != 0.0:
         s, c = half_turn(x0 * x0 + y0 * y0)
         turning = polar(x0, y0, s, c)
@@ -187,7 +187,7 @@ def tendon_travel(chain, bend, scale, work):
     if not follows_shape(chain):  # tendons follow the backbone
         travel, offsets, tendon = floats(work.travel), floats(chain.offset), words(chain.tendon)
         for i in range(chain.n):
-            x0, y0 = stages.rest(0.0, 0.0, chain, section_of(chain, i))
+            x0, y0 = stages.rest(0.0, 0.0, chain, i)
             x, y = scale * (bends[2 * i] - x0), scale * (bends[2 * i + 1] - y0)
             for k in range(chain.k):
                 at = chain.k * i + k

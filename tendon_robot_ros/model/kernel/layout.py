@@ -5,9 +5,9 @@ Numba counts references to arrays at every call, which costs more than the physi
 address costs nothing. Whoever calls an entry keeps the arrays alive until it returns.
 
 Names that mean the same in every function, and are explained only once: `chain` a Chain, `work` a
-Work, `past` the Memory of the posture before, `solver` a Workspace; `i` a cell and `section` its
-section, `k` a tendon, `j` an input; u (in shapes) the entries of a state that count. "Address" is
-that of the first float of an array, row-major.
+Work, `past` the Memory of the posture before, `solver` a Workspace; `i` a cell, `k` a tendon, `j`
+an input; u (in shapes) the entries of a state that count. "Address" is that of the first float of
+an array, row-major.
 """
 
 import math
@@ -63,10 +63,10 @@ ZERO = np.int64(0)  # [1] typed, because numba compiles a function anew for ever
 NONE = ~ZERO  # no index, -1
 
 # Chain: the robot and its effects; n cells, k tendons, m inputs; addresses of
-#   cells   (n, 8)    CELL_COLUMNS, SI
+#   cells   (n, 7)    CELL_COLUMNS, SI
 #   offset  (n, k, 2) tendon offsets [m]
 #   tendon  (k, 2)    int: cells that the tendon runs through, index of its input
-#   values  (rows, wide) effect parameters of each section, or of each tendon;
+#   values  (rows, wide) effect parameters of each cell, or of each tendon;
 #   on      (effects,) uint8, which effects act
 #   gravity (3,)      [m/s²], base frame
 #   helix   (n, k)    angle [rad] by which a tendon winds about the axis in a cell; 0: none does
@@ -76,10 +76,10 @@ NONE = ~ZERO  # no index, -1
 CHAIN_DATA = 'n k m wide cells offset tendon values on gravity radius helix beside'.split()
 Chain = namedtuple('Chain', [*CHAIN_DATA, 'step', *MODULES])  # type: ignore[misc]
 # Length [m], bending stiffness [N·m/rad], mass profile times length [m], whether it is a hinge
-# (1), index of its section, number of tendons in it, where its weight lies beside the axis [m].
-CELL_COLUMNS = 'LENGTH STIFFNESS MASS HINGE SECTION PRESENT MASS_X MASS_Y'.split()
+# (1), number of tendons in it, where its weight lies beside the axis [m].
+CELL_COLUMNS = 'LENGTH STIFFNESS MASS HINGE PRESENT MASS_X MASS_Y'.split()
 COLUMNS = len(CELL_COLUMNS)
-LENGTH, STIFFNESS, MASS, HINGE, SECTION, PRESENT, MASS_X, MASS_Y = range(COLUMNS)
+LENGTH, STIFFNESS, MASS, HINGE, PRESENT, MASS_X, MASS_Y = range(COLUMNS)
 
 # The state of a posture: bends (n, 2) [rad], and behind them twists (n,) [rad], which count only
 # where cells twist; `bend` and `bends` are addresses of states.
@@ -301,12 +301,6 @@ def exchange(chain, acting, starts, places, values, v):
     for r in range(starts[v], starts[v + 1]):
         entry_at = floats(places[r])
         entry_at[0], values[r] = values[r], entry_at[0]
-
-
-@compiled
-def section_of(chain, i):
-    """Index of the section that cell i belongs to."""
-    return int(floats(chain.cells)[COLUMNS * i + SECTION])
 
 
 @compiled

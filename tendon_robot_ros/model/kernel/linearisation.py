@@ -41,7 +41,6 @@ from .layout import (
     entry,
     floats,
     inlined,
-    section_of,
     words,
 )
 from .loads import (
@@ -327,10 +326,10 @@ def rotation_slopes(chain, f, work, i, x, y, beyond, bow, row, general):
 @compiled
 def compression_slopes(chain, bend, work, i, total, tangent):
     """Fill the derivatives of the loads' moment and of the torque at the start by tensions."""
-    h, section = DIFFERENCE_STEP * (1.0 + total), section_of(chain, i)
-    rate = stages.length(1.0, total + h, chain, section)
-    rate -= stages.length(1.0, total - h, chain, section)
-    rate /= 2.0 * h * stages.length(1.0, total, chain, section)
+    h = DIFFERENCE_STEP * (1.0 + total)
+    rate = stages.length(1.0, total + h, chain, i)
+    rate -= stages.length(1.0, total - h, chain, i)
+    rate /= 2.0 * h * stages.length(1.0, total, chain, i)
     if stages.push_acts(chain):
         pushed_part(chain, tangent)[GROWS] = rate
     x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
@@ -385,7 +384,7 @@ def bend_slope(chain, past, i, moment, toward, x, y):
 @compiled
 def compliances(chain, past, i, mx, my, total):
     """Differentiate a cell's bend (x, y) by moment x and y [rad/(N·m)] and tension [rad/N]."""
-    stiffness = cell_stiffness(chain, i, section_of(chain, i))
+    stiffness = cell_stiffness(chain, i)
     if is_linear(chain):
         return 1.0 / stiffness, 0.0, 0.0, 1.0 / stiffness, 0.0, 0.0
     h, ht, moment = DIFFERENCE_STEP * stiffness, DIFFERENCE_STEP * (1.0 + total), (mx, my, total)
@@ -420,18 +419,18 @@ def leaning_slopes(chain, work, i, x, y, twist, scale, tangent):
 
 
 @inlined
-def travel_slopes(here, beyond, h, chain, section):
+def travel_slopes(here, beyond, h, chain, i):
     """Differentiate the travel that decides friction by that here and by that beyond."""
     up, low = here + h, here - h
-    by_here = stages.friction_travel(up, beyond, chain, section)
-    by_here -= stages.friction_travel(low, beyond, chain, section)
-    by_beyond = stages.friction_travel(here, beyond + h, chain, section)
-    by_beyond -= stages.friction_travel(here, beyond - h, chain, section)
+    by_here = stages.friction_travel(up, beyond, chain, i)
+    by_here -= stages.friction_travel(low, beyond, chain, i)
+    by_beyond = stages.friction_travel(here, beyond + h, chain, i)
+    by_beyond -= stages.friction_travel(here, beyond - h, chain, i)
     return by_here / (2.0 * h), by_beyond / (2.0 * h)
 
 
 @inlined
-def slip_slopes(chain, work, past, at, section, slides, remembers):
+def slip_slopes(chain, work, past, at, i, slides, remembers):
     """
     Direction of friction at an eyelet, and its derivatives by travel in the cell and beyond [1/m].
 
@@ -448,23 +447,23 @@ def slip_slopes(chain, work, past, at, section, slides, remembers):
     if remembers:
         sign, last, h = floats(past.sign)[at], floats(past.travel)[at], TRAVEL_STEP * chain.radius
         if slides:
-            by_slip, by_beyond = travel_slopes(slip, beyond, h, chain, section)
-            slip = stages.friction_travel(slip, beyond, chain, section)
+            by_slip, by_beyond = travel_slopes(slip, beyond, h, chain, i)
+            slip = stages.friction_travel(slip, beyond, chain, i)
         law = chain.remembered
-        s = law(chain, sign, slip - last, section)
-        rate = law(chain, sign, slip - last + h, section)
-        rate = (rate - law(chain, sign, slip - last - h, section)) / (2.0 * h)
+        s = law(chain, sign, slip - last, i)
+        rate = law(chain, sign, slip - last + h, i)
+        rate = (rate - law(chain, sign, slip - last - h, i)) / (2.0 * h)
         return s, by_slip * rate, by_beyond * rate
     rate = slip_rate_in(work)
     s = smooth_sign(slip, rate)
     by_slip = rate * (1.0 - s * s)
     if slides:
         t = smooth_sign(beyond, rate)
-        here, slope = travel_slopes(s, t, DIFFERENCE_STEP, chain, section)
+        here, slope = travel_slopes(s, t, DIFFERENCE_STEP, chain, i)
         by_slip *= here
         # else every eyelet that slips would join the equations of those that stick
         by_beyond = rate * (1.0 - t * t) * slope if abs(t) < SLIPPING_FROM else 0.0
-        s = stages.friction_travel(s, t, chain, section)
+        s = stages.friction_travel(s, t, chain, i)
     return s, by_slip, by_beyond
 
 
@@ -484,7 +483,7 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
 
     """
     _, _, wraps, slides, remembers = flags
-    bends, tendon, section = floats(bend), words(chain.tendon), section_of(chain, i)
+    bends, tendon = floats(bend), words(chain.tendon)
     # the ratio that passes, by the bend before the eyelet (ox, oy) and by that behind it (nx, ny)
     bx, by, h = bends[2 * i], bends[2 * i + 1], DIFFERENCE_STEP
     s, c = half_turn(bx * bx + by * by)
@@ -497,18 +496,18 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
         a = math.sqrt(x * x + y * y)
         mean, slope = a * s, 0.25 * c / max(a, TINY)
         up, low = turning + h, turning - h
-        own = stages.wrap(up, mean, chain, section) - stages.wrap(low, mean, chain, section)
+        own = stages.wrap(up, mean, chain, i) - stages.wrap(low, mean, chain, i)
         up, low = mean + h, mean - h
-        by_mean = stages.wrap(turning, up, chain, section)
-        by_mean -= stages.wrap(turning, low, chain, section)
+        by_mean = stages.wrap(turning, up, chain, i)
+        by_mean -= stages.wrap(turning, low, chain, i)
         slope *= by_mean / (2.0 * h)
         nx, ny = slope * x, slope * y
         own /= 2.0 * h
         ox, oy = own * ox + nx, own * oy + ny
-        turning = stages.wrap(turning, mean, chain, section)
-    passed = stages.eyelet(1.0, turning, chain, section)
+        turning = stages.wrap(turning, mean, chain, i)
+    passed = stages.eyelet(1.0, turning, chain, i)
     up, low = turning + h, max(turning - h, 0.0)
-    slope = stages.eyelet(1.0, up, chain, section) - stages.eyelet(1.0, low, chain, section)
+    slope = stages.eyelet(1.0, up, chain, i) - stages.eyelet(1.0, low, chain, i)
     slope /= up - low
     log_passed = math.log(max(passed, TINY))
     before, behind = tangent_of(chain, tangent, i), tangent_of(chain, tangent, i + 1)
@@ -516,7 +515,7 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
         if i + 1 >= tendon[2 * k]:
             continue
         at = chain.k * i + k
-        s, by_travel, by_beyond = slip_slopes(chain, work, past, at, section, slides, remembers)
+        s, by_travel, by_beyond = slip_slopes(chain, work, past, at, i, slides, remembers)
         row, row_before = tendon_part(behind, k), tendon_part(before, k)
         ratio = math.exp(s * log_passed)
         t = floats(work.tensions)[at] * ratio
@@ -586,7 +585,7 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
 def fill_twist(chain, work, i, tangent, loads):
     """Fill the derivatives of the residual of the twist of cell i, from those of its moment."""
     row, about = floats(tangent), axial_moment_on(chain, work, i, loads)
-    h = DIFFERENCE_STEP * cell_stiffness(chain, i, section_of(chain, i))  # [N·m]
+    h = DIFFERENCE_STEP * cell_stiffness(chain, i)  # [N·m]
     yields = (twist_of(chain, i, about + h) - twist_of(chain, i, about - h)) / (2.0 * h)
     for b in range(3):
         row[OWN + 6 + b] *= -yields

@@ -26,7 +26,7 @@ from .cells import (
     turned_axes,
     twist_in,
 )
-from .layout import cell, compiled, contracted, entry, floats, fused, section_of
+from .layout import cell, compiled, contracted, entry, floats, fused
 
 
 @compiled
@@ -113,9 +113,7 @@ def loaded(chain):
 def weight(chain, i):
     """Force of the loads on cell i at its middle (x, y, z) [N]."""
     g = floats(chain.gravity)
-    return stages.load(
-        0.0, 0.0, 0.0, cell(chain, i, layout.MASS), g[0], g[1], g[2], chain, section_of(chain, i)
-    )
+    return stages.load(0.0, 0.0, 0.0, cell(chain, i, layout.MASS), g[0], g[1], g[2], chain, i)
 
 
 @compiled

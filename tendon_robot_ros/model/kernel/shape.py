@@ -42,7 +42,6 @@ from .layout import (
     keep,
     memory_in,
     memory_size,
-    section_of,
     with_results,
     words,
     work_from,
@@ -67,7 +66,7 @@ def work_in(chain, start):
     flat = flat and not (is_general(chain) or stages.push_acts(chain))
     for i in range(chain.n):
         floats(work.lengths)[i] = cell(chain, i, LENGTH)
-        floats(work.compliance)[i] = 1.0 / cell_stiffness(chain, i, section_of(chain, i))
+        floats(work.compliance)[i] = 1.0 / cell_stiffness(chain, i)
         flat = flat and weight(chain, i)[1] == 0.0
     settings[PLANAR_LOADS] = 1.0 if flat else 0.0
     return work
@@ -174,7 +173,7 @@ def wire_pulls(chain, bend, work, pulls, means):
         for j in range(k):
             for i in range(tendon[2 * j]):
                 totals[j] += stages.stretch(
-                    0.0, tensions[k * i + j], cell(chain, i, LENGTH), chain, section_of(chain, i)
+                    0.0, tensions[k * i + j], cell(chain, i, LENGTH), chain, i
                 )
     if stages.winding_acts(chain):
         for j in range(k):
@@ -348,9 +347,9 @@ PARTS = 256
 
 
 @entry()
-def remembered(chain, sign, moved, section):
+def remembered(chain, sign, moved, i):
     """Direction of friction [1], from `sign` before a tendon moved [m]."""
-    return stages.memory(0.0, sign, moved, chain, section)
+    return stages.memory(0.0, sign, moved, chain, i)
 
 
 @compiled
@@ -367,7 +366,7 @@ def remember(chain, inputs, bend, work, past, now):
             at = chain.k * i + k
             travelled = floats(work.travel)[at]
             sign[at], travel[at] = slip_direction(
-                chain, work, past, at, section_of(chain, i), travelled, 0.0, slides, YES
+                chain, work, past, at, i, travelled, 0.0, slides, YES
             )
 
 
@@ -449,7 +448,7 @@ def sign_error(chain, nodes, at, middle, end):
             if abs(curve) < abs(slope) and abs(slope) < 2.0 * abs(curve):
                 beyond = 1.0 - abs(0.5 * slope / curve)
                 beyond = 2.0 * abs(curve) * beyond * beyond
-                sign = stages.memory(0.0, 0.0, beyond, chain, section_of(chain, i))
+                sign = stages.memory(0.0, 0.0, beyond, chain, i)
                 error = max(error, sign)
     return error
 

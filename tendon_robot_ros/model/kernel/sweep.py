@@ -24,7 +24,7 @@ from .cells import (
     twist_of,
 )
 from .geometry import scale_lengths, tendon_travel, travel_beyond
-from .layout import compiled, copy, entry, floats, fused, inlined, section_of, words
+from .layout import compiled, copy, entry, floats, fused, inlined, words
 from .loads import lies_flat, loaded
 
 
@@ -55,7 +55,7 @@ def slip_rate_in(work):
 
 
 @inlined
-def slip_direction(chain, work, past, at, section, travel, slip_rate, slides, remembers):
+def slip_direction(chain, work, past, at, i, travel, slip_rate, slides, remembers):
     """
     Direction s of friction at entry `at` of the travel (n, k), and the travel that counts [m].
 
@@ -73,13 +73,13 @@ def slip_direction(chain, work, past, at, section, travel, slip_rate, slides, re
     """
     beyond = floats(work.beyond)[at] if slides else 0.0
     if remembers:
-        travelled = stages.friction_travel(travel, beyond, chain, section)
+        travelled = stages.friction_travel(travel, beyond, chain, i)
         moved = travelled - floats(past.travel)[at]
         before = floats(past.sign)[at]
-        return stages.memory(0.0, before, moved, chain, section), travelled
+        return stages.memory(0.0, before, moved, chain, i), travelled
     if slides:
         return stages.friction_travel(
-            smooth_sign(travel, slip_rate), smooth_sign(beyond, slip_rate), chain, section
+            smooth_sign(travel, slip_rate), smooth_sign(beyond, slip_rate), chain, i
         ), beyond
     return smooth_sign(travel, slip_rate), travel
 
@@ -185,11 +185,11 @@ def passed_ratio(chain, i, bx, by, ahead_x, ahead_y, sine, sine_mean, flags):
     friction, _, wraps, _, _ = flags
     if not friction:
         return 1.0
-    section, turning = section_of(chain, i), size_of(bx, by) * sine
+    turning = size_of(bx, by) * sine
     if wraps:
         mean = size_of(bx + 0.5 * ahead_x, by + 0.5 * ahead_y) * sine_mean
-        turning = stages.wrap(turning, mean, chain, section)
-    return stages.eyelet(1.0, turning, chain, section)
+        turning = stages.wrap(turning, mean, chain, i)
+    return stages.eyelet(1.0, turning, chain, i)
 
 
 @inlined
@@ -225,12 +225,11 @@ def pass_eyelet(chain, work, past, i, bx, by, passed, slip_rate, moment_arms, sc
     """
     friction, straight, _, slides, remembers = flags
     tensions, tendon, at = floats(work.tensions), words(chain.tendon), chain.k * i
-    section = section_of(chain, i)
     x0, y0, log_passed, passed_at = 0.0, 0.0, 0.0, work.passed + 8 * i
     floats(passed_at)[0] = passed
     last, last_sign = -1.0, 0.0  # kept, because tendons on opposite sides travel alike
     if friction:
-        x0, y0 = stages.rest(0.0, 0.0, chain, section)
+        x0, y0 = stages.rest(0.0, 0.0, chain, i)
         x0, y0 = scale * (bx - x0), scale * (by - y0)
     offsets, lever = floats(chain.offset), floats(moment_arms)
     mx, my, total = 0.0, 0.0, 0.0
@@ -246,7 +245,7 @@ def pass_eyelet(chain, work, past, i, bx, by, passed, slip_rate, moment_arms, sc
                     travel = offsets[2 * (at + k)] * x0 + offsets[2 * (at + k) + 1] * y0
                 if slides or remembers:
                     s, _ = slip_direction(
-                        chain, work, past, at + k, section, travel, slip_rate, slides, remembers
+                        chain, work, past, at + k, i, travel, slip_rate, slides, remembers
                     )
                 else:
                     if abs(travel) != last:
