@@ -27,7 +27,7 @@ from ..model.program import STEP_MAX
 from ..model.pulls import command
 from ..model.redundancy import Balance, balanced
 from ..model.shape import Reach, Shape
-from ..model.tip_task import Preferences
+from ..model.tip_task import TRACK, Preferences
 from .inputs import Target, Trajectory, Twist
 from .solver import Failure, GiveUp
 from .state import ControllerState, MeasuredState, Mode, Settling
@@ -111,7 +111,7 @@ class FollowTarget(Mode):
             else:
                 self._missed = 0.0
 
-        request = SearchRequest.of(state, state.model, target, tracking=True)
+        request = SearchRequest.of(state, state.model, target, TRACK)
         state.solver.post('again', request.answer, done)
 
 
@@ -147,7 +147,7 @@ class FollowTwist(Mode):
             return None  # the arm stops
         self._due = min(self._due + passed, CYCLE_MAX_S)  # no jump after a late solution
         if self.position is not None and not state.solver.busy('twist'):
-            request = SearchRequest.of(state, state.model, self._advanced(state), tracking=True)
+            request = SearchRequest.of(state, state.model, self._advanced(state), TRACK)
             # farther ahead, the desired tip would come back late
             ahead_max = 0.1 * STREAM_LENGTH * state.model.robot.length
 
