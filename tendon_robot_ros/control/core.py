@@ -383,19 +383,17 @@ class ControllerCore(ControllerState):
                 why = f'twist ended: {self.mode.problem}'
                 self.refusals['target'] = Refusal('no_equilibrium', why)
             self.mode, goal = Mode(), self.command
-        if self.pulls is not None and isinstance(self.mode, PlayTrajectory):
-            self.command = self.pulls.play(self, goal)
-            self.driver.acting.sent(self.time, self.command, self.settings.drive_lag)
-            return
-        goal = bounded(goal, self.limits)
         step = self.settings.rate_limit * passed
-        if self.pulls is not None:
-            self.command = self.pulls.advance(self, goal, step)
-        else:
+        if self.pulls is None:
+            goal = bounded(goal, self.limits)
             via_pending = isinstance(self.mode, FollowTarget) and self.mode.via
             if self.solution is not None and not via_pending:
                 step = self.loop.paced(self, goal, step, passed)
             self.command = approach(self.command, goal, np.full_like(goal, step))
+        elif isinstance(self.mode, PlayTrajectory):
+            self.command = self.pulls.play(self, goal)
+        else:
+            self.command = self.pulls.advance(self, bounded(goal, self.limits), step)
         self.driver.acting.sent(self.time, self.command, self.settings.drive_lag)
         if not (self.moving or self.playing or self.jogging):
             self.null_space.step(self)
