@@ -102,23 +102,14 @@ class BuiltArm:
         self.catalogue = catalogue.sized(natural_sizes(robot))
         self.robot, self.noise = robot, noise
         self.level = 0.0 if robot.exact else level
-        m, J = len(robot.inputs), len(markers)
-
-        def predictor(positions: Floats) -> Predictor:
-            dataset = DataSet(
-                'now',
-                robot,
-                tuple(markers),
-                ('now',),
-                np.zeros((1, m)),
-                positions,
-                gravity=robot.gravity,
-            )
-            return Predictor(dataset, robot, self.catalogue)
-
-        self.whole = predictor(np.full((1, 1, J, 3), np.nan))
+        inputs, unseen = np.zeros((1, len(robot.inputs))), np.full((1, 1, len(markers), 3), np.nan)
+        now = DataSet(
+            'now', robot, tuple(markers), ('now',), inputs, unseen, gravity=robot.gravity
+        )
+        self.whole = Predictor(now, robot, self.catalogue)
         self.split = imperfections.SplitPredictor(self.whole)
-        rest = imperfections.remainders(predictor(np.zeros((1, 1, J, 3)))).reshape(-1, 3 * J)
+        seen = Predictor(replace(now, positions=np.zeros_like(unseen)), robot, self.catalogue)
+        rest = imperfections.remainders(seen).reshape(-1, 3 * len(markers))
         self._rest = rest.T @ rest  # (3 J, 3 J) of a remainder of 1 m sd at the tip
         known = float((robot.model_error or 0.0) / np.sqrt(3.0))  # [m] of a coordinate
         sizes = {known, *(part * robot.length for part in RELATIVE_ERRORS)}
@@ -302,13 +293,12 @@ class BuiltArm:
         for _ in range(2):  # at the last estimate: errors of linearisation look like noise
             base = list[_Linear | None]()
             for inputs, measured in zip(tensions, positions, strict=True):
-                try:
+                linear = None
+                with suppress(NoEquilibriumError):
                     e = self.expected(inputs)
-                except NoEquilibriumError:
-                    base.append(None)
-                    continue
-                e = replace(e, markers=e.markers - self.moves(e.columns))
-                base.append((e, measured.ravel()))
+                    e = replace(e, markers=e.markers - self.moves(e.columns))
+                    linear = e, measured.ravel()
+                base.append(linear)
             counted = [one for one, c in zip(base, counts, strict=True) if c and one is not None]
             self._vary(counted, frames)
             self.forget()
