@@ -30,6 +30,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -118,14 +119,9 @@ class DriftAlarm:
         self._changes = changes_of(arm)
         self._frees = [free for change in self._changes for free in change.frees]
         # columns of each change in the signatures, and their prior 1 sd
-        count, self._places = 0, list[slice]()
-        self._spread = np.ones(len(self._frees) + len(arm.plausible))
-        for change in self._changes:
-            begin = count if change.is_effect else len(self._frees) + change.members.start
-            count += len(change.frees)
-            place = slice(begin, begin + len(change.spread))
-            self._places.append(place)
-            self._spread[place] = change.spread
+        sizes = [len(change.spread) for change in self._changes]
+        self._places = [slice(*ends) for ends in pairwise([0, *np.cumsum(sizes)])]
+        self._spread = np.concatenate([change.spread for change in self._changes])
         self.restart()
 
     def restart(self) -> None:
@@ -242,8 +238,9 @@ class DriftAlarm:
         whole = self.arm.whole
         whole.inputs = np.maximum(tensions, 0.0)[None]
         moves = differences(whole, {}, self._frees)
-        states = len(self.arm.plausible)
-        return np.column_stack([*moves[0, :, 0], built[:, :states] / self.arm.plausible])
+        members = [change.members for change in self._changes]  # after all effects
+        own = [built[:, place] / self.arm.plausible[place] for place in members]
+        return np.column_stack([*moves[0, :, 0], *own])
 
 
 def log_ratio(information: Floats, score: Floats, spread: Floats) -> Floats:
