@@ -29,7 +29,6 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -333,11 +332,7 @@ class ArmWatch:
     settings: WatchSettings = field(default_factory=WatchSettings)
 
     def __post_init__(self) -> None:
-        """Start to learn."""
-        self.learn_anew()
-
-    def learn_anew(self) -> None:
-        """Restart with the next postures as references."""
+        """Begin without a reference."""
         robot, catalogue = self.model.robot, self.model.catalogue
         self._arm = BuiltArm(robot, catalogue, self.markers, self.settings.tracker_noise)
         self._observer = ContactObserver(self._arm)
@@ -383,12 +378,11 @@ class ArmWatch:
         """Update by a posture at rest: tensions (m,) [N], the mean of frames (J, 3) [m]."""
         if self.alarm is not None:
             return self.alarm.update(tensions, positions, frames)
-        self._frames = frames if not self._references else min(frames, self._frames)
         if self._learning is None:
+            self._frames = min(frames, self._frames) if self._references else frames
             self._references.append((tensions, positions))
             if len(self._references) >= self.settings.reference_postures:
-                known = self._arm, tuple(self._references), self._frames
-                self._learning = ComputingThread(partial(self._learn, *known), 'learning')
+                self._learning = ComputingThread(self._learn, 'learning')
                 self._learning.start()
         return None
 
@@ -414,11 +408,7 @@ class ArmWatch:
             return None  # the thread that learns uses the model
         return self._observer.update(tensions, positions, pulls, frames)
 
-    def _learn(
-        self, arm: BuiltArm, references: Sequence[tuple[Floats, Floats]], frames: int
-    ) -> None:
-        tensions, positions = (np.array(part) for part in zip(*references, strict=True))
-        arm.fit(tensions, positions, frames)
-        alarm = DriftAlarm(arm, self.settings.alarm_postures)
-        if arm is self._arm:  # else the arm is learned anew
-            self.alarm = alarm
+    def _learn(self) -> None:
+        tensions, positions = (np.array(part) for part in zip(*self._references, strict=True))
+        self._arm.fit(tensions, positions, self._frames)
+        self.alarm = DriftAlarm(self._arm, self.settings.alarm_postures)
