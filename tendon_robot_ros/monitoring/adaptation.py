@@ -297,8 +297,13 @@ class Adaptation:
             self.problem = f'nothing can follow: {why}; investigate, or add with data'
         elif model.remembers:
             self.problem = 'nothing can follow: friction_memory depends on every earlier posture'
-        self._arm = BuiltArm(self.robot, model.catalogue, markers, noise)
-        self._estimate: RecursiveEstimate | None = None
+        self._arm = arm = BuiltArm(self.robot, model.catalogue, markers, noise)
+        self._estimate = RecursiveEstimate(
+            np.array([one.units(one.low) for one in self._adaptable]),
+            np.array([one.units(one.high) for one in self._adaptable]),
+            arm.built,
+            [size for size in arm.remainders if size > 0.0],
+        )
         self._recent: deque[tuple[Floats, Floats]] = deque(maxlen=2 * JUDGED_POSTURES)
         self.postures = self._changed_at = self._odd = 0
 
@@ -312,7 +317,7 @@ class Adaptation:
                 f'the last {self._odd} postures fit with no value within the intervals: '
                 'something else has changed; investigate'
             )
-        if self._estimate is None:
+        if not self.postures:
             return 'no posture yet'
         words, ends = [], []
         for one, value, sd in self._values():
@@ -325,7 +330,7 @@ class Adaptation:
     @property
     def memory(self) -> float:
         """Number of postures in the memory of the estimate, infinite for all."""
-        kept = 1.0 if self._estimate is None else self._estimate.memory
+        kept = self._estimate.memory if self.postures else 1.0
         return float('inf') if kept >= 1.0 else 1.0 / (1.0 - kept)
 
     def values(self) -> dict[str, tuple[float, float]]:
@@ -367,8 +372,6 @@ class Adaptation:
 
     def _values(self) -> list[tuple[_Adaptable, float, float]]:
         """Return the adaptable parameters, their estimates and 1 sd."""
-        if self._estimate is None:
-            return [(one, one.centre, one.spread) for one in self._adaptable]
         mean, sd = self._estimate.mean, np.sqrt(np.diag(self._estimate.covariance))
         return [
             (one, float(np.clip(one.centre + one.spread * z, one.low, one.high)), one.spread * s)
@@ -389,13 +392,6 @@ class Adaptation:
             return False
         own = moved[0] * [one.spread for one in self._adaptable]
         columns = np.hstack([own, expected.columns[:, : arm.built] @ arm.prior])[rows]
-        if self._estimate is None:
-            self._estimate = RecursiveEstimate(
-                np.array([one.units(one.low) for one in self._adaptable]),
-                np.array([one.units(one.high) for one in self._adaptable]),
-                arm.built,
-                [size for size in arm.remainders if size > 0.0],
-            )
         known = columns[:, own.shape[1] :] @ self._estimate.mean[own.shape[1] :]
         off = measured[rows] - expected.markers[rows] - known
         noise, rest = arm.noise**2 / frames * np.eye(len(off)), arm.rest(rows)
@@ -407,7 +403,6 @@ class Adaptation:
 
     def _follow(self) -> ModelChange | None:
         """Change the description in use towards the estimate where that is significant."""
-        assert self._estimate is not None
         p = len(self._adaptable)
         before = {one.free: described_value(self.robot, one.free) for one in self._adaptable}
         in_use = np.array([one.units(before[one.free]) for one in self._adaptable])
