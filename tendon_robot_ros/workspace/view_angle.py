@@ -197,7 +197,7 @@ class Workspace:
                 'larger'
             )
         self.unsolved, self.largest = 0, 0.0  # postures without equilibrium; [rad] tip angle
-        parts: dict[tuple[int, int, int], list[tuple[Floats, ...]]] = {}
+        parts: dict[tuple[Pair, int, int], list[tuple[Floats, ...]]] = {}
         for which, pair in enumerate(self.pairs):
             for start in range(0, count, ROWS_AT_ONCE):
                 own = np.arange(start, min(start + ROWS_AT_ONCE, count))
@@ -218,14 +218,11 @@ class Workspace:
                     rows &= (angle >= 0.0) == (side > 0)  # near 0°, too, it is on one side only
                     if rows.any():
                         part = tuple(array[rows] for array in arrays)
-                        parts.setdefault((v, which, side), []).append(part)
+                        parts.setdefault((pair, v, side), []).append(part)
                 listener(progress)('postures', which * count + start + len(own), total)
         families = [
-            Family(
-                *(self.pairs[which], self.views[v], side),
-                *map(np.concatenate, zip(*rows, strict=True)),
-            )
-            for (v, which, side), rows in parts.items()
+            Family(pair, self.views[v], side, *map(np.concatenate, zip(*rows, strict=True)))
+            for (pair, v, side), rows in parts.items()
         ]
         # those with postures, the largest of a view first
         self.families = sorted(families, key=lambda f: (self.views.index(f.view), -len(f)))
@@ -277,14 +274,14 @@ def save_workspace(workspace: Workspace, folder: Path) -> None:
         name: np.concatenate([np.zeros(shape), *(getattr(family, name) for family in families)])
         for name, shape in empty.items()
     }
-    pairs = [pair.inputs for pair in workspace.pairs]
     for name, values in (
         ('view', [family.view for family in families]),
         ('side', [family.side for family in families]),
-        ('pair', [pairs.index(family.pair.inputs) for family in families]),
+        ('pair', [workspace.pairs.index(family.pair) for family in families]),
     ):
         arrays[name] = np.repeat(values, [len(family) for family in families])
-    arrays |= {'inputs': np.array(inputs), 'pairs': np.array([' + '.join(pair) for pair in pairs])}
+    pairs = [' + '.join(pair.inputs) for pair in workspace.pairs]
+    arrays |= {'inputs': np.array(inputs), 'pairs': np.array(pairs)}
     np.savez_compressed(folder / WORKSPACE_FILES[1], **arrays)
 
 
