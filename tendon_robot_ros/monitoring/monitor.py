@@ -338,13 +338,9 @@ class Monitor:
 
     def new_posture(self) -> StillMeasurement | None:
         """Return the measurement of a new posture at rest, in tensions; None without one."""
-        settled = self._windows['tension'].settled()
-        if settled is None or not np.isfinite(settled.inputs).all():
-            return None
-        if self._same(settled, self._last_posture, 'tension'):
-            return None
-        self._last_posture = self._averaged(settled, 'tension')
-        return self._last_posture
+        new = self._new('tension', self._last_posture)
+        self._last_posture = new or self._last_posture
+        return new
 
     def start_recording(self) -> None:
         """Start a recording, or continue one that is not saved yet."""
@@ -417,24 +413,27 @@ class Monitor:
         window.put(time, tensions if kind == 'tension' else pulls, positions)
         if not self.recording:
             return
-        settled = window.settled()
         last = self.recorded[-1] if self.recorded and kind == self._last_kind else None
-        if settled is None or self._same(settled, last, kind):
+        if (new := self._new(kind, last)) is None:
             return
         if kind != self._last_kind:
             self.recorded.clear()
         self._last_kind = kind
-        self.recorded.append(self._averaged(settled, kind))
+        self.recorded.append(new)
 
-    def _same(self, settled: StillMeasurement, last: StillMeasurement | None, kind: str) -> bool:
-        """Whether the arm is still at the last posture."""
-        if last is None:
-            return False
-        moved = np.nan_to_num(np.abs(settled.inputs - last.inputs)).max()
-        return bool(moved < 2.0 * self._windows[kind].change)
+    def _new(self, kind: str, last: StillMeasurement | None) -> StillMeasurement | None:
+        """
+        Return the measurement of an arm at rest; None without one, or still at the last posture.
 
-    def _averaged(self, settled: StillMeasurement, kind: str) -> StillMeasurement:
-        """Return a measurement with the mean of all states in its window, not of its frames."""
+        Its inputs are the mean of all states in the window, not of its frames.
+        """
+        window = self._windows[kind]
+        if (settled := window.settled()) is None:
+            return None
+        if last is not None:
+            moved = np.nan_to_num(np.abs(settled.inputs - last.inputs)).max()
+            if moved < 2.0 * window.change:
+                return None
         mean = self.states.mean(settled.begin, settled.end)
         if mean is None:
             return settled
