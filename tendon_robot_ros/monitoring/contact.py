@@ -224,25 +224,20 @@ class _Solution:
     normal: Floats  # (3, 3) [1/N²] information of measurement and prior
 
 
+@dataclass
 class _Fit:
-    """
-    Fit of force and place to one measurement.
+    """Fit of force and place to one measurement."""
 
-    It is (3 J,) of markers or (m,) of wire pulls [m], under inputs (1, m) [N].
-    """
+    observer: ContactObserver
+    inputs: Floats  # (1, m) [N]
+    measured: Floats  # (3 J,) of markers or (m,) of wire pulls [m]
+    markers: bool
+    frames: int
 
-    def __init__(
-        self,
-        observer: ContactObserver,
-        inputs: Floats,
-        measured: Floats,
-        markers: bool,
-        frames: int,
-    ) -> None:
-        self.observer, self.inputs, self.measured = observer, inputs, measured
-        self.markers, self.frames, self.rows = markers, frames, np.isfinite(measured)
+    def __post_init__(self) -> None:
+        self.rows = np.isfinite(self.measured)
         self.factor: Floats = np.zeros((0, 0))
-        self.lacked: Floats = np.zeros(len(measured))  # [m] motion by what is not described
+        self.lacked: Floats = np.zeros(len(self.rows))  # [m] motion by what is not described
 
     def solve(self, force: Floats, place: float) -> Contact:
         """Return the contact; raise NoEquilibriumError where the model has no equilibrium."""
