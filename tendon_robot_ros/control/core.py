@@ -15,7 +15,7 @@ from ..model.shape import Reach, Shape
 from .inputs import Output, Refusal, Target, Trajectory, Twist, another_robot
 from .modes import FollowTarget, FollowTwist, NullSpace, PlayTrajectory, PullPath
 from .solver import Failure, GiveUp
-from .state import ControllerState, Mode, ShapeTracker
+from .state import ControllerState, MeasuredState, Mode, ShapeTracker
 from .target_search import (
     FIRST_ANSWER_S,
     Approach,
@@ -255,7 +255,7 @@ class ControllerCore(ControllerState):
 
     def measured(self, now: float, tensions: Floats, pulls: Floats) -> None:
         """Take measured tensions (m,) [N] and wire pulls (m,) [m], nan where not observable."""
-        self.driver.measured(now, tensions, pulls)
+        self.driver.state, self.driver.silent = MeasuredState(tensions, pulls, now), False
 
     def tip_measured(self, now: float, position: Floats) -> None:
         """Take a measured tip (3,) [m] in the base frame."""
@@ -305,7 +305,9 @@ class ControllerCore(ControllerState):
 
     def resumed(self) -> None:
         """Continue from the measured state after the driver has resumed."""
-        self.driver.resumed()
+        driver = self.driver
+        driver.stopped = driver.released = ''
+        driver.lost, driver.over = True, driver.releases or None
         self._forget_refusal('released', 'driver_stopped')
 
     def not_resumed(self, problem: str) -> None:
