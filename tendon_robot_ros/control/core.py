@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -76,13 +77,8 @@ class ControllerCore(ControllerState):
         if isinstance(self.mode, FollowTwist):
             self.mode.take(now, twist)
         else:
-            self.mode = mode = FollowTwist(twist, now)
-
-            def begin(shape: Shape | None, error: Failure) -> None:
-                if shape is not None:
-                    self.track.accept(shape)
-                mode.begin(shape, error)
-
+            self.mode = FollowTwist(twist, now)
+            begin = partial(self.mode.begin, self.track)
             self.solver.post('twist', self.track.shape_work(self.command), begin)
 
     def play(self, now: float, trajectory: Trajectory | None) -> None:

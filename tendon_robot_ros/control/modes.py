@@ -30,7 +30,7 @@ from ..model.shape import Reach, Shape
 from ..model.tip_task import TRACK, Preferences
 from .inputs import Target, Trajectory, Twist
 from .solver import Failure, GiveUp
-from .state import ControllerState, MeasuredState, Mode, Settling
+from .state import ControllerState, MeasuredState, Mode, Settling, ShapeTracker
 from .target_search import STREAM_LENGTH, Approach, SearchRequest, tip_task
 from .tip_estimator import NullSpaceMotion
 
@@ -128,11 +128,12 @@ class FollowTwist(Mode):
     problem: str = ''  # why there are no tensions for it
     _due: float = 0.0  # [s] of motion that is not yet requested
 
-    def begin(self, shape: Shape | None, error: Failure) -> None:
-        """Begin at a shape; without one the error ends the twist."""
+    def begin(self, track: ShapeTracker, shape: Shape | None, error: Failure) -> None:
+        """Begin at a shape, which is the last one then; without one the error ends the twist."""
         if shape is None:
             self.problem = str(error)
         else:
+            track.accept(shape)
             self.position, self.direction = shape.tip_position.copy(), shape.tip_direction.copy()
             self.axes = shape.frames[-1].copy()
 
