@@ -96,8 +96,7 @@ class Family:
     @property
     def tips(self) -> Floats:
         """Tip positions (b, 3) [m]."""
-        tip: Floats = self.positions[:, -1]
-        return tip
+        return np.asarray(self.positions[:, -1])
 
     @property
     def is_flat(self) -> bool:
@@ -262,11 +261,9 @@ def save_workspace(workspace: Workspace, folder: Path) -> None:
         writer = csv.writer(file)
         writer.writerow(['view', 'pair', *inputs, 'angle', 'x', 'y', 'z'])
         for family in workspace.families:
-            for tensions, angle, tip in zip(
-                family.tensions.tolist(), family.angle, family.tips, strict=True
-            ):
-                numbers = [f'{value:.6g}' for value in (*tensions, angle, *tip)]
-                writer.writerow([f'{family.view:.6g}', ' + '.join(family.pair.inputs), *numbers])
+            first = f'{family.view:.6g}', ' + '.join(family.pair.inputs)
+            table = np.column_stack([family.tensions, family.angle, family.tips])
+            writer.writerows([*first, *(f'{value:.6g}' for value in row)] for row in table)
     n, m = workspace.robot.cells, len(inputs)
     empty = {'tensions': (0, m), 'bend': (0, n, 2), 'positions': (0, n, 3), 'angle': (0,)}
     families = workspace.families
