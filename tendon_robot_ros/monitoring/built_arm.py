@@ -37,7 +37,7 @@ from ..data import DataSet, Marker
 from ..effects import Catalogue, Effect
 from ..inference import imperfections
 from ..inference.noise import relative_error
-from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes, free_parameters
+from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes, frees_of
 from ..inference.search import DIFFERENCE_STEP
 from ..model.shape import ShapeBatch
 from ..robot import Robot
@@ -136,12 +136,9 @@ class BuiltArm:
         """Estimate what the description lacks, too, if it has a `model_error`."""
         if self.frees or not self.robot.model_error:
             return
-        self.frees = [
-            free
-            for effect in moving_effects(self.robot, self.catalogue)
-            if effect.name not in (FRAME, LOAD)
-            for free in free_parameters(effect, self.robot)
-        ]
+        names = [effect.name for effect in moving_effects(self.robot, self.catalogue)]
+        lacking = (name for name in names if name not in (FRAME, LOAD))
+        self.frees = [*frees_of(lacking, self.catalogue, self.robot)]
         typical = [free.parameter.typical for free in self.frees]
         self.plausible = np.concatenate([self.plausible, typical, typical])
         prior, self.prior = self.prior, np.eye(len(self.plausible))
@@ -366,8 +363,7 @@ class BuiltArm:
     def columns(self, inputs: Floats, point: Point) -> Floats:
         """Return the motion of the markers (3 J, q + n) [m] by states of plausible size."""
         self.split.inputs = inputs
-        moved: Floats = self.moved(self.split, point)[0]
-        return moved
+        return np.asarray(self.moved(self.split, point)[0])
 
     def moved(self, split: imperfections.SplitPredictor, point: Point) -> Floats:
         """Return the motion of the markers (P, 3 J, q + n) [m] by states of plausible size."""
