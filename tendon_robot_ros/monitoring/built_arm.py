@@ -248,7 +248,7 @@ class BuiltArm:
         own = columns[rows, : len(self.mean)]
         return np.asarray(own @ self.covariance @ own.T + self.scatter(rows, columns, frames))
 
-    def fit(self, tensions: Floats, positions: Floats, frames: int = 1) -> float:
+    def fit(self, tensions: Floats, positions: Floats, frames: int = 1) -> None:
         """
         Fit to reference postures, with the sizes of remainder and noise of maximum likelihood.
 
@@ -260,11 +260,6 @@ class BuiltArm:
         positions : (P, J, 3) [m]
         frames : int
             Number of frames whose mean each position is.
-
-        Returns
-        -------
-        float
-            1 sd of the remainder at the tip [m].
 
         """
         self.expect_lacking()
@@ -281,7 +276,6 @@ class BuiltArm:
         self.response = relative_error(self.robot.model_error or 0.0, positions[counts, tip])
         scores = self._follow(tensions[counts], positions[counts], frames)
         self.widening = widening(scores[len(scores) // 3 :])
-        return self.remainder
 
     def _sized(
         self, tensions: Floats, positions: Floats, frames: int, counts: Bools

@@ -336,8 +336,7 @@ class ArmWatch:
         robot, catalogue = self.model.robot, self.model.catalogue
         self._arm = BuiltArm(robot, catalogue, self.markers, self.settings.tracker_noise)
         self._observer = ContactObserver(self._arm)
-        self._references: list[tuple[Floats, Floats]] = []
-        self._frames = 1  # smallest number of frames of a reference
+        self._references: list[tuple[Floats, Floats, int]] = []  # as of `update`
         self._learning: threading.Thread | None = None
         self.alarm: DriftAlarm | None = None
 
@@ -379,8 +378,7 @@ class ArmWatch:
         if self.alarm is not None:
             return self.alarm.update(tensions, positions, frames)
         if self._learning is None:
-            self._frames = min(frames, self._frames) if self._references else frames
-            self._references.append((tensions, positions))
+            self._references.append((tensions, positions, frames))
             if len(self._references) >= self.settings.reference_postures:
                 self._learning = ComputingThread(self._learn, 'learning')
                 self._learning.start()
@@ -409,6 +407,6 @@ class ArmWatch:
         return self._observer.update(tensions, positions, pulls, frames)
 
     def _learn(self) -> None:
-        tensions, positions = (np.array(part) for part in zip(*self._references, strict=True))
-        self._arm.fit(tensions, positions, self._frames)
+        tensions, positions, frames = zip(*self._references, strict=True)
+        self._arm.fit(np.array(tensions), np.array(positions), min(frames))
         self.alarm = DriftAlarm(self._arm, self.settings.alarm_postures)
