@@ -101,7 +101,7 @@ def test_of_a_shape_that_no_force_explains_the_covariance_is_one_nevertheless(na
     for _ in range(12):
         found = observer.update(tensions, seen + drawn_off(robot, 6e-3, random))
         assert np.linalg.cond(found.covariance) < 1e9
-        assert found.chi2 > 10.0 * found.freedom
+        assert found.off > 8.0 * NOISE
 
 
 @pytest.mark.parametrize('name', ARMS)
@@ -299,7 +299,7 @@ def watching(learned):
     assert '0 of 24' in watch.text
     for tensions, positions in zip(rows, seen, strict=True):
         watch.update(tensions, positions)
-    watch.wait()
+    watch._learning.join()
     return watch
 
 

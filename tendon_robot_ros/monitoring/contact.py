@@ -71,8 +71,6 @@ class Contact:
 
     force: Floats  # (3,) [N]
     covariance: Floats  # (3, 3) [N²] at that place
-    chi2: float  # of the residual
-    freedom: int  # degrees of freedom of the residual
     place: float  # [m] arc length
     interval: tuple[float, float]  # [m] of the place, 95 %
     point: Floats  # (3,) [m] of the arm at the place, as the tracker sees it
@@ -355,13 +353,11 @@ class _Fit:
         if self.markers:
             self.observer.slopes = np.zeros((len(self.rows), 3))
             self.observer.slopes[self.rows] = np.linalg.solve(self.factor, best.columns)
-        freedom, wider = max(int(self.rows.sum()) - 3, 1), self._wider(best)
         self._predicted(best.force, best.place)  # the last one may be another's
         point = self.observer.point_at(best.place)
-        mean, covariance = self._spread(best, wider)
+        mean, covariance = self._spread(best, self._wider(best))
         off = float(np.nanmax(np.abs(self.measured - best.expected - self.lacked)))
-        chi2, place = best.chi2, best.place
-        return Contact(mean, covariance, chi2, freedom, place, interval, point, off, acts)
+        return Contact(mean, covariance, best.place, interval, point, off, acts)
 
     def _spread(self, solution: _Solution, wider: float) -> tuple[Floats, Floats]:
         """

@@ -384,11 +384,6 @@ class ArmWatch:
                 self._learning.start()
         return None
 
-    def wait(self) -> None:
-        """Wait until the arm is learned."""
-        if self._learning is not None:
-            self._learning.join()
-
     @property
     def slopes(self) -> Floats | None:
         """Last Jacobian of the markers by the force (3 J, 3) [m/N], None before one."""
