@@ -247,9 +247,7 @@ class Plan:
         gaps = np.max([np.diff(path.times), *least], axis=0)
         self.path = replace(path, times=np.concatenate([[0.0], np.cumsum(gaps)]))
         halfway = 0.5 * (tensions[:-1] + tensions[1:])
-        if not len(halfway):
-            between = np.zeros((0, 3))
-        elif model.remembers:  # each from the sample before it, the first one from the start
+        if model.remembers:  # each from the sample before it, the first one from the start
             both = np.stack([tensions[:-1], halfway], axis=1).reshape(-1, tensions.shape[1])
             between = model.sequence(both, start.memory.copy()).tip_position[1::2]
         else:
