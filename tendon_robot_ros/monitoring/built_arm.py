@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ..common.arrays import Bools, Floats
 from ..common.errors import NoEquilibriumError
@@ -141,8 +142,7 @@ class BuiltArm:
         self.frees = [*frees_of(lacking, self.catalogue, self.robot)]
         typical = [free.parameter.typical for free in self.frees]
         self.plausible = np.concatenate([self.plausible, typical, typical])
-        prior, self.prior = self.prior, np.eye(len(self.plausible))
-        self.prior[: self.built, : self.built] = prior
+        self.prior = block_diag(self.prior, np.eye(2 * len(typical)))
         self.forget()
 
     @property

@@ -248,8 +248,7 @@ class Work:
         """Kill the running diagnosis."""
         if self._child is None:
             return
-        if self._child.poll() is None:
-            self._child.kill()
+        self._child.kill()  # does nothing to one that has ended
         self._child.wait()
         self._reader.join(timeout=2.0)
         self._child, self._lines = None, queue.SimpleQueue()
