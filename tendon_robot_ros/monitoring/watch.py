@@ -45,7 +45,7 @@ from ..model.model import Model
 from ..robot import dump_robot, parse_robot
 from .built_arm import ODD_PROBABILITY, BuiltArm, differences
 from .change import JUDGED_POSTURES, ChangeFinder, Suspect, changes_of, described
-from .contact import Contact, ContactObserver
+from .contact import ContactObserver
 
 FORMAT = 'tendon_robot_ros/change@1'
 SIZES = 'remainder', 'setting', 'widening'  # fields of a learned arm
@@ -335,7 +335,7 @@ class ArmWatch:
         """Begin without a reference."""
         robot, catalogue = self.model.robot, self.model.catalogue
         self._arm = BuiltArm(robot, catalogue, self.markers, self.settings.tracker_noise)
-        self._observer = ContactObserver(self._arm)
+        self.observer = ContactObserver(self._arm)  # of what pushes it, but while learning
         self._references: list[tuple[Floats, Floats, int]] = []  # as of `update`
         self._learning: threading.Thread | None = None
         self.alarm: DriftAlarm | None = None
@@ -385,21 +385,9 @@ class ArmWatch:
         return None
 
     @property
-    def slopes(self) -> Floats | None:
-        """Last Jacobian of the markers by the force (3 J, 3) [m/N], None before one."""
-        return self._observer.slopes
-
-    def force(
-        self,
-        tensions: Floats,
-        positions: Floats | None,
-        pulls: Floats | None = None,
-        frames: int = 1,
-    ) -> Contact | None:
-        """Return what pushes the arm, None while the arm is learned; see `ContactObserver`."""
-        if self._learning is not None and self.alarm is None:
-            return None  # the thread that learns uses the model
-        return self._observer.update(tensions, positions, pulls, frames)
+    def learning(self) -> bool:
+        """Whether a thread learns the arm, and so uses its model."""
+        return self._learning is not None and self.alarm is None
 
     def _learn(self) -> None:
         tensions, positions, frames = zip(*self._references, strict=True)
