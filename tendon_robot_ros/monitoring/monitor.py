@@ -18,7 +18,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import DataSetError, InputError, NoEquilibriumError
 from ..data import DataSet, Marker, default_markers
-from ..inference.statistics import RARE, chi2_isf, mean_over, root_mean
+from ..inference.statistics import RARE, chi2_isf, mean_over, rms
 from ..robot import Robot
 from ..robot.estimates import INPUT_TOLERANCE
 
@@ -143,11 +143,8 @@ class StillWindow:
         changes = np.abs(inputs[early].mean(axis=0) - inputs[~early].mean(axis=0))
         if np.nan_to_num(changes).max() > self.change:  # nan: not observable
             return None
-        moved = np.linalg.norm(
-            mean_over(positions[early], 0) - mean_over(positions[~early], 0), axis=1
-        )
-        moved = moved[np.isfinite(moved)]
-        if not len(moved) or np.sqrt((moved**2).mean()) > self.speed * self.duration / 2:
+        moved = rms(mean_over(positions[early], 0) - mean_over(positions[~early], 0))
+        if not moved <= self.speed * self.duration / 2:  # nan: no marker was seen
             return None
         middle = mean_over(positions, 0)
         deviations = positions - middle
@@ -283,7 +280,7 @@ class Monitor:
     kept: bool = True  # whether the recording is saved, or empty
     problem: str = ''
     _shape: Shape | None = None
-    _tips: deque[tuple[float, float]] = field(default_factory=deque)
+    _tips: deque[tuple[float, Floats]] = field(default_factory=deque)  # [s], (3,) [m] errors
     _last_kind: str = 'tension'
     _last_posture: StillMeasurement | None = None  # the last result of `new_posture`
 
@@ -326,14 +323,12 @@ class Monitor:
         self.problem = ''
         points = self.model.measured(shape.markers(self._arcs, self._offsets)[None])[0]
         self._record(time, tensions, pulls, positions)
-        error = positions[-1] - points[-1] if quiet is not None else np.full(3, np.nan)
-        size = float(np.linalg.norm(error))
-        if np.isfinite(size):
-            self._tips.append((time, size))
+        if quiet is not None:
+            self._tips.append((time, positions[-1] - points[-1]))
         # also what came before the clock was set back
         while self._tips and not time - self.settings.rolling <= self._tips[0][0] <= time:
             self._tips.popleft()
-        rolling = root_mean(np.array([one**2 for _, one in self._tips]))
+        rolling = rms(np.array([error for _, error in self._tips]).reshape(-1, 3))
         return Compared(positions, points, rolling)
 
     def new_posture(self) -> StillMeasurement | None:
