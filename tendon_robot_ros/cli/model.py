@@ -414,13 +414,12 @@ class Sweep:
         model = load_model(args)
         with progress() as show:
             show(f'looking for {args.steps} postures', 0, 0)
-            postures = look_around(model, math.radians(args.view), args.steps)
-        places = np.array([posture.position for posture in postures])
-        rows: TipRows | TendonRows = TipRows(
-            None, places, np.array([p.direction for p in postures])
-        )
+            shapes = look_around(model, math.radians(args.view), args.steps)
+        places = np.array([shape.tip_position for shape in shapes])
+        directions = np.array([shape.tip_direction for shape in shapes])
+        rows: TipRows | TendonRows = TipRows(None, places, directions)
         if args.tensions:
-            tensions = np.array([posture.tensions for posture in postures])
+            tensions = np.array([shape.inputs for shape in shapes])
             slow = 0.1 * Pace().tension  # [N/s] so that a person can follow it and stop
             rows = TendonRows(stretched(np.zeros(len(tensions)), tensions, slow), tensions)
         with new_file(Path(args.output)) as draft:
@@ -429,8 +428,8 @@ class Sweep:
         spans = ', '.join(
             f'{axis} {a:.1f} to {b:.1f}' for axis, a, b in zip('xyz', low, high, strict=True)
         )
-        content = {'postures': len(postures), 'tips': places.tolist(), 'written': args.output}
-        text = f'{len(postures)} postures at the {args.view:g}° view; tip {spans} mm'
+        content = {'postures': len(shapes), 'tips': places.tolist(), 'written': args.output}
+        text = f'{len(shapes)} postures at the {args.view:g}° view; tip {spans} mm'
         following = f'next: {PROGRAM} follow {args.output}'
         emit(args, content, f'{text}\nwritten: {args.output}   {following}')
         return 0

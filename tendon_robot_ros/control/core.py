@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from ..model.shape import Reach, Shape
 from .inputs import Output, Refusal, Target, Trajectory, Twist, another_robot
 from .modes import FollowTarget, FollowTwist, NullSpace, PlayTrajectory, PullPath
 from .solver import Failure, GiveUp
-from .state import ControllerState, Mode, ShapeTracker
+from .state import ControllerState, MeasuredState, Mode, ShapeTracker
 from .target_search import (
     FIRST_ANSWER_S,
     Approach,
@@ -76,13 +77,8 @@ class ControllerCore(ControllerState):
         if isinstance(self.mode, FollowTwist):
             self.mode.take(now, twist)
         else:
-            self.mode = mode = FollowTwist(twist, now)
-
-            def begin(shape: Shape | None, error: Failure) -> None:
-                if shape is not None:
-                    self.track.accept(shape)
-                mode.begin(shape, error)
-
+            self.mode = FollowTwist(twist, now)
+            begin = partial(self.mode.begin, self.track)
             self.solver.post('twist', self.track.shape_work(self.command), begin)
 
     def play(self, now: float, trajectory: Trajectory | None) -> None:
@@ -255,7 +251,7 @@ class ControllerCore(ControllerState):
 
     def measured(self, now: float, tensions: Floats, pulls: Floats) -> None:
         """Take measured tensions (m,) [N] and wire pulls (m,) [m], nan where not observable."""
-        self.driver.measured(now, tensions, pulls)
+        self.driver.state, self.driver.silent = MeasuredState(tensions, pulls, now), False
 
     def tip_measured(self, now: float, position: Floats) -> None:
         """Take a measured tip (3,) [m] in the base frame."""
@@ -305,7 +301,9 @@ class ControllerCore(ControllerState):
 
     def resumed(self) -> None:
         """Continue from the measured state after the driver has resumed."""
-        self.driver.resumed()
+        driver = self.driver
+        driver.stopped = driver.released = ''
+        driver.lost, driver.over = True, driver.releases or None
         self._forget_refusal('released', 'driver_stopped')
 
     def not_resumed(self, problem: str) -> None:
@@ -383,19 +381,17 @@ class ControllerCore(ControllerState):
                 why = f'twist ended: {self.mode.problem}'
                 self.refusals['target'] = Refusal('no_equilibrium', why)
             self.mode, goal = Mode(), self.command
-        if self.pulls is not None and isinstance(self.mode, PlayTrajectory):
-            self.command = self.pulls.play(self, goal)
-            self.driver.acting.sent(self.time, self.command, self.settings.drive_lag)
-            return
-        goal = bounded(goal, self.limits)
         step = self.settings.rate_limit * passed
-        if self.pulls is not None:
-            self.command = self.pulls.advance(self, goal, step)
-        else:
+        if self.pulls is None:
+            goal = bounded(goal, self.limits)
             via_pending = isinstance(self.mode, FollowTarget) and self.mode.via
             if self.solution is not None and not via_pending:
                 step = self.loop.paced(self, goal, step, passed)
             self.command = approach(self.command, goal, np.full_like(goal, step))
+        elif isinstance(self.mode, PlayTrajectory):
+            self.command = self.pulls.play(self, goal)
+        else:
+            self.command = self.pulls.advance(self, bounded(goal, self.limits), step)
         self.driver.acting.sent(self.time, self.command, self.settings.drive_lag)
         if not (self.moving or self.playing or self.jogging):
             self.null_space.step(self)

@@ -27,10 +27,10 @@ from ..model.program import STEP_MAX
 from ..model.pulls import command
 from ..model.redundancy import Balance, balanced
 from ..model.shape import Reach, Shape
-from ..model.tip_task import Preferences
+from ..model.tip_task import TRACK, Preferences
 from .inputs import Target, Trajectory, Twist
 from .solver import Failure, GiveUp
-from .state import ControllerState, MeasuredState, Mode, Settling
+from .state import ControllerState, MeasuredState, Mode, Settling, ShapeTracker
 from .target_search import STREAM_LENGTH, Approach, SearchRequest, tip_task
 from .tip_estimator import NullSpaceMotion
 
@@ -111,7 +111,7 @@ class FollowTarget(Mode):
             else:
                 self._missed = 0.0
 
-        request = SearchRequest.of(state, state.model, target, tracking=True)
+        request = SearchRequest.of(state, state.model, target, TRACK)
         state.solver.post('again', request.answer, done)
 
 
@@ -128,11 +128,12 @@ class FollowTwist(Mode):
     problem: str = ''  # why there are no tensions for it
     _due: float = 0.0  # [s] of motion that is not yet requested
 
-    def begin(self, shape: Shape | None, error: Failure) -> None:
-        """Begin at a shape; without one the error ends the twist."""
+    def begin(self, track: ShapeTracker, shape: Shape | None, error: Failure) -> None:
+        """Begin at a shape, which is the last one then; without one the error ends the twist."""
         if shape is None:
             self.problem = str(error)
         else:
+            track.accept(shape)
             self.position, self.direction = shape.tip_position.copy(), shape.tip_direction.copy()
             self.axes = shape.frames[-1].copy()
 
@@ -147,7 +148,7 @@ class FollowTwist(Mode):
             return None  # the arm stops
         self._due = min(self._due + passed, CYCLE_MAX_S)  # no jump after a late solution
         if self.position is not None and not state.solver.busy('twist'):
-            request = SearchRequest.of(state, state.model, self._advanced(state), tracking=True)
+            request = SearchRequest.of(state, state.model, self._advanced(state), TRACK)
             # farther ahead, the desired tip would come back late
             ahead_max = 0.1 * STREAM_LENGTH * state.model.robot.length
 

@@ -228,10 +228,6 @@ class DriverSide:
     over: int | None = None  # so far when the last one was over
     _twisted: float = -np.inf  # [s] of the last twist other than zero
 
-    def measured(self, now: float, tensions: Floats, pulls: Floats) -> None:
-        """Take measured tensions (m,) [N] and wire pulls (m,) [m], nan where not observable."""
-        self.state, self.silent = MeasuredState(tensions, pulls, now), False
-
     def timed_out(self, now: float, settings: Settings) -> bool:
         """Whether the driver is silent for so long that the last command is held no longer."""
         timeout = settings.state_timeout + SILENCE_S
@@ -247,11 +243,6 @@ class DriverSide:
         """The measured tensions (m,) [N]; None where they are not observable."""
         state = self.state
         return np.maximum(state.tensions, 0.0) if state is not None and state.observed else None
-
-    def resumed(self) -> None:
-        """Record that the driver follows again, from the measured state."""
-        self.stopped = self.released = ''
-        self.lost, self.over = True, self.releases or None
 
     def wait(self, repeat: Callable[[], None], request: Target | Trajectory) -> bool:
         """

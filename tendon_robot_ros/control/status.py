@@ -42,8 +42,7 @@ def controller_values(core: ControllerCore, now: float) -> dict[str, str]:
     if core.playing is not None:
         values['trajectory_time (s)'] = f'{core.playing.passed(now):.3f}'
         values['trajectory_duration (s)'] = f'{core.playing.times[-1]:.3f}'
-    if core.solution is not None:
-        solution = core.solution
+    if (solution := core.solution) is not None:
         values |= {
             'solution': solution.status,
             'position_error (m)': f'{solution.position_error:.3g}',

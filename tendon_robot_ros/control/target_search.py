@@ -152,7 +152,8 @@ def search_work(
     rest of the budget. Without one in the first budget, a second search begins at the best result.
     There the deadline is checked only between starts, so that at least one start completes.
     """
-    solve = SearchRequest.of(core, core.model, search.extrapolated(core), search.streamed).answer
+    policy = STREAM if search.streamed else COLD
+    solve = SearchRequest.of(core, core.model, search.extrapolated(core), policy).answer
     first = budget == FIRST_ANSWER_S
 
     def work(give_up: GiveUp) -> SearchResult:
@@ -188,10 +189,9 @@ class SearchRequest:
         Start of the search, and the last shape, with the memory of friction.
     acting : (m,) [N]
         Estimated present tensions.
-    streamed : bool
-        Whether the target continues a stream: the approach is straight.
-    tracking : bool
-        Whether to search only near the present shape.
+    policy : Policy
+        `COLD`, `STREAM` for a target that continues a stream, or `TRACK` to search only near the
+        present shape. The approach of the last two is straight.
 
     """
 
@@ -202,17 +202,11 @@ class SearchRequest:
     guess: Shape | None
     last: Shape | None
     acting: Floats
-    streamed: bool
-    tracking: bool
+    policy: Policy
 
     @classmethod
     def of(
-        cls,
-        core: ControllerState,
-        model: Model,
-        target: Target,
-        streamed: bool = False,
-        tracking: bool = False,
+        cls, core: ControllerState, model: Model, target: Target, policy: Policy = COLD
     ) -> SearchRequest:
         """Return the search for a target from the present state of the core."""
         last, solution = core.track.last, core.solution
@@ -228,8 +222,7 @@ class SearchRequest:
             guess=guess,
             last=last,
             acting=core.acting_tensions(),
-            streamed=streamed,
-            tracking=tracking,
+            policy=policy,
         )
 
     def answer(self, give_up: GiveUp, report: Report | None = None) -> Approach:
@@ -312,7 +305,7 @@ class SearchRequest:
 
     @property
     def _local(self) -> bool:
-        return self.tracking or self.streamed
+        return self.policy is not COLD
 
     def _task(self, past: Shape | None) -> TipTask:
         """Return the task of the tip for an arm that comes from the shape `past`."""
@@ -326,13 +319,14 @@ class SearchRequest:
 
         With friction memory, a target near the last one is searched near the present shape first.
         """
-        if self.tracking:
+        if self.policy is TRACK:
             return [TRACK]
         # more starts would exceed the budget of a target
         cold = replace(COLD, starts=STREAM.starts)
-        if self.streamed and self.model.remembers:
+        streamed = self.policy is STREAM
+        if streamed and self.model.remembers:
             return [replace(STREAM, starts=0), cold]
-        return [STREAM if self.streamed and self.model.sticks else cold]
+        return [STREAM if streamed and self.model.sticks else cold]
 
     def _solve_from(
         self,

@@ -279,7 +279,7 @@ class TipLoop(TipCorrection):
     def _compare(self, now: float, core: ControllerState, position: Floats) -> None:
         """Post the comparison of the measured tip with the model's, and the next goal."""
         solution, desired, target = core.solution, core.mode.position, core.target
-        assert solution is not None and desired is not None
+        assert solution is not None and desired is not None and core.command is not None
         acting, model = core.acting_tensions(), core.model
         offset = core.driver.acting.offset
         limits, keep_out = core.limits, core.settings.keep_out
@@ -292,7 +292,6 @@ class TipLoop(TipCorrection):
         then, before = self._then(sample_time), self._compared
         oldest = self._history[0][0] if self._history else np.inf
         known_then = sample_time == now or sample_time >= oldest
-        assert core.command is not None
         near = is_near(core.command, goal, limits, RANGE_TOLERANCE)
         arrived = near and not core.streaming
 

@@ -27,7 +27,7 @@ a filter fade (dynamic model averaging, Raftery, Karny, Ettler 2010).
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -42,7 +42,7 @@ from ..common.words import listed, with_unit
 from ..data import Marker
 from ..inference.description import with_values
 from ..inference.intervals import QUANTILE
-from ..inference.predict import FreeParameter, free_parameters
+from ..inference.predict import FreeParameter, frees_of
 from ..inference.statistics import RARE, chi2_isf
 from ..model.model import Model
 from ..robot import Robot
@@ -241,6 +241,10 @@ class _Adaptable:
         """Return a value in units of the prior."""
         return (value - self.centre) / self.spread
 
+    def value(self, units: float) -> float:
+        """Return the value of so many units, within the interval."""
+        return float(np.clip(self.centre + self.spread * units, self.low, self.high))
+
 
 def described_value(robot: Robot, free: FreeParameter) -> float:
     """Return the value that a description gives a parameter of one of its effects."""
@@ -248,7 +252,7 @@ def described_value(robot: Robot, free: FreeParameter) -> float:
     return float(value[free.column or 0] if isinstance(value, tuple) else value)
 
 
-def adaptable(robot: Robot, frees: Sequence[FreeParameter]) -> tuple[list[_Adaptable], list[str]]:
+def adaptable(robot: Robot, frees: Iterable[FreeParameter]) -> tuple[list[_Adaptable], list[str]]:
     """Return the parameters with an interval in a description, and reasons for the others."""
     parameters, without = [], []
     for free in frees:
@@ -286,19 +290,20 @@ class Adaptation:
         self.robot = model.robot  # in use
         self.changes: list[ModelChange] = []
         self.problem, self._catalogue = '', model.catalogue
-        frees = [
-            free
-            for name in self.robot.effects
-            for free in free_parameters(model.catalogue[name], self.robot)
-        ]
+        frees = frees_of(self.robot.effects, model.catalogue, self.robot)
         self._adaptable, self.excluded = adaptable(self.robot, frees)
         if not self._adaptable:
             why = listed(self.excluded) if self.excluded else 'the description has no effect'
             self.problem = f'nothing can follow: {why}; investigate, or add with data'
         elif model.remembers:
             self.problem = 'nothing can follow: friction_memory depends on every earlier posture'
-        self._arm = BuiltArm(self.robot, model.catalogue, markers, noise)
-        self._estimate: RecursiveEstimate | None = None
+        self._arm = arm = BuiltArm(self.robot, model.catalogue, markers, noise)
+        self._estimate = RecursiveEstimate(
+            np.array([one.units(one.low) for one in self._adaptable]),
+            np.array([one.units(one.high) for one in self._adaptable]),
+            arm.built,
+            [size for size in arm.remainders if size > 0.0],
+        )
         self._recent: deque[tuple[Floats, Floats]] = deque(maxlen=2 * JUDGED_POSTURES)
         self.postures = self._changed_at = self._odd = 0
 
@@ -312,7 +317,7 @@ class Adaptation:
                 f'the last {self._odd} postures fit with no value within the intervals: '
                 'something else has changed; investigate'
             )
-        if self._estimate is None:
+        if not self.postures:
             return 'no posture yet'
         words, ends = [], []
         for one, value, sd in self._values():
@@ -325,7 +330,7 @@ class Adaptation:
     @property
     def memory(self) -> float:
         """Number of postures in the memory of the estimate, infinite for all."""
-        kept = 1.0 if self._estimate is None else self._estimate.memory
+        kept = self._estimate.memory if self.postures else 1.0
         return float('inf') if kept >= 1.0 else 1.0 / (1.0 - kept)
 
     def values(self) -> dict[str, tuple[float, float]]:
@@ -367,13 +372,9 @@ class Adaptation:
 
     def _values(self) -> list[tuple[_Adaptable, float, float]]:
         """Return the adaptable parameters, their estimates and 1 sd."""
-        if self._estimate is None:
-            return [(one, one.centre, one.spread) for one in self._adaptable]
         mean, sd = self._estimate.mean, np.sqrt(np.diag(self._estimate.covariance))
-        return [
-            (one, float(np.clip(one.centre + one.spread * z, one.low, one.high)), one.spread * s)
-            for one, z, s in zip(self._adaptable, mean.tolist(), sd.tolist(), strict=False)
-        ]
+        known = zip(self._adaptable, mean.tolist(), sd.tolist(), strict=False)
+        return [(one, one.value(z), one.spread * s) for one, z, s in known]
 
     def _learn(self, tensions: Floats, positions: Floats, frames: int) -> bool:
         """Update the estimate by a posture; return False where the model has no equilibrium."""
@@ -389,13 +390,6 @@ class Adaptation:
             return False
         own = moved[0] * [one.spread for one in self._adaptable]
         columns = np.hstack([own, expected.columns[:, : arm.built] @ arm.prior])[rows]
-        if self._estimate is None:
-            self._estimate = RecursiveEstimate(
-                np.array([one.units(one.low) for one in self._adaptable]),
-                np.array([one.units(one.high) for one in self._adaptable]),
-                arm.built,
-                [size for size in arm.remainders if size > 0.0],
-            )
         known = columns[:, own.shape[1] :] @ self._estimate.mean[own.shape[1] :]
         off = measured[rows] - expected.markers[rows] - known
         noise, rest = arm.noise**2 / frames * np.eye(len(off)), arm.rest(rows)
@@ -407,7 +401,6 @@ class Adaptation:
 
     def _follow(self) -> ModelChange | None:
         """Change the description in use towards the estimate where that is significant."""
-        assert self._estimate is not None
         p = len(self._adaptable)
         before = {one.free: described_value(self.robot, one.free) for one in self._adaptable}
         in_use = np.array([one.units(before[one.free]) for one in self._adaptable])
@@ -417,10 +410,8 @@ class Adaptation:
             return None
         step_max = STEP_MAX * 2.0 * QUANTILE
         moved = in_use + off * min(1.0, step_max / float(np.abs(off).max()))
-        after = {
-            one.free: float(np.clip(one.centre + one.spread * z, one.low, one.high))
-            for one, z in zip(self._adaptable, moved.tolist(), strict=True)
-        }
+        there = zip(self._adaptable, moved.tolist(), strict=True)
+        after = {one.free: one.value(z) for one, z in there}
         errors = self._error(before), self._error(after)
         if not errors[1] < errors[0]:
             return None

@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ..common.arrays import Bools, Floats
 from ..common.errors import NoEquilibriumError
@@ -37,7 +38,7 @@ from ..data import DataSet, Marker
 from ..effects import Catalogue, Effect
 from ..inference import imperfections
 from ..inference.noise import relative_error
-from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes, free_parameters
+from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes, frees_of
 from ..inference.search import DIFFERENCE_STEP
 from ..model.shape import ShapeBatch
 from ..robot import Robot
@@ -102,23 +103,14 @@ class BuiltArm:
         self.catalogue = catalogue.sized(natural_sizes(robot))
         self.robot, self.noise = robot, noise
         self.level = 0.0 if robot.exact else level
-        m, J = len(robot.inputs), len(markers)
-
-        def predictor(positions: Floats) -> Predictor:
-            dataset = DataSet(
-                'now',
-                robot,
-                tuple(markers),
-                ('now',),
-                np.zeros((1, m)),
-                positions,
-                gravity=robot.gravity,
-            )
-            return Predictor(dataset, robot, self.catalogue)
-
-        self.whole = predictor(np.full((1, 1, J, 3), np.nan))
+        inputs, unseen = np.zeros((1, len(robot.inputs))), np.full((1, 1, len(markers), 3), np.nan)
+        now = DataSet(
+            'now', robot, tuple(markers), ('now',), inputs, unseen, gravity=robot.gravity
+        )
+        self.whole = Predictor(now, robot, self.catalogue)
         self.split = imperfections.SplitPredictor(self.whole)
-        rest = imperfections.remainders(predictor(np.zeros((1, 1, J, 3)))).reshape(-1, 3 * J)
+        seen = Predictor(replace(now, positions=np.zeros_like(unseen)), robot, self.catalogue)
+        rest = imperfections.remainders(seen).reshape(-1, 3 * len(markers))
         self._rest = rest.T @ rest  # (3 J, 3 J) of a remainder of 1 m sd at the tip
         known = float((robot.model_error or 0.0) / np.sqrt(3.0))  # [m] of a coordinate
         sizes = {known, *(part * robot.length for part in RELATIVE_ERRORS)}
@@ -145,16 +137,12 @@ class BuiltArm:
         """Estimate what the description lacks, too, if it has a `model_error`."""
         if self.frees or not self.robot.model_error:
             return
-        self.frees = [
-            free
-            for effect in moving_effects(self.robot, self.catalogue)
-            if effect.name not in (FRAME, LOAD)
-            for free in free_parameters(effect, self.robot)
-        ]
+        names = [effect.name for effect in moving_effects(self.robot, self.catalogue)]
+        lacking = (name for name in names if name not in (FRAME, LOAD))
+        self.frees = [*frees_of(lacking, self.catalogue, self.robot)]
         typical = [free.parameter.typical for free in self.frees]
         self.plausible = np.concatenate([self.plausible, typical, typical])
-        prior, self.prior = self.prior, np.eye(len(self.plausible))
-        self.prior[: self.built, : self.built] = prior
+        self.prior = block_diag(self.prior, np.eye(2 * len(typical)))
         self.forget()
 
     @property
@@ -260,7 +248,7 @@ class BuiltArm:
         own = columns[rows, : len(self.mean)]
         return np.asarray(own @ self.covariance @ own.T + self.scatter(rows, columns, frames))
 
-    def fit(self, tensions: Floats, positions: Floats, frames: int = 1) -> float:
+    def fit(self, tensions: Floats, positions: Floats, frames: int = 1) -> None:
         """
         Fit to reference postures, with the sizes of remainder and noise of maximum likelihood.
 
@@ -272,11 +260,6 @@ class BuiltArm:
         positions : (P, J, 3) [m]
         frames : int
             Number of frames whose mean each position is.
-
-        Returns
-        -------
-        float
-            1 sd of the remainder at the tip [m].
 
         """
         self.expect_lacking()
@@ -293,7 +276,6 @@ class BuiltArm:
         self.response = relative_error(self.robot.model_error or 0.0, positions[counts, tip])
         scores = self._follow(tensions[counts], positions[counts], frames)
         self.widening = widening(scores[len(scores) // 3 :])
-        return self.remainder
 
     def _sized(
         self, tensions: Floats, positions: Floats, frames: int, counts: Bools
@@ -302,13 +284,12 @@ class BuiltArm:
         for _ in range(2):  # at the last estimate: errors of linearisation look like noise
             base = list[_Linear | None]()
             for inputs, measured in zip(tensions, positions, strict=True):
-                try:
+                linear = None
+                with suppress(NoEquilibriumError):
                     e = self.expected(inputs)
-                except NoEquilibriumError:
-                    base.append(None)
-                    continue
-                e = replace(e, markers=e.markers - self.moves(e.columns))
-                base.append((e, measured.ravel()))
+                    e = replace(e, markers=e.markers - self.moves(e.columns))
+                    linear = e, measured.ravel()
+                base.append(linear)
             counted = [one for one, c in zip(base, counts, strict=True) if c and one is not None]
             self._vary(counted, frames)
             self.forget()
@@ -376,8 +357,7 @@ class BuiltArm:
     def columns(self, inputs: Floats, point: Point) -> Floats:
         """Return the motion of the markers (3 J, q + n) [m] by states of plausible size."""
         self.split.inputs = inputs
-        moved: Floats = self.moved(self.split, point)[0]
-        return moved
+        return np.asarray(self.moved(self.split, point)[0])
 
     def moved(self, split: imperfections.SplitPredictor, point: Point) -> Floats:
         """Return the motion of the markers (P, 3 J, q + n) [m] by states of plausible size."""

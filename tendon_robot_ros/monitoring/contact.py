@@ -71,8 +71,6 @@ class Contact:
 
     force: Floats  # (3,) [N]
     covariance: Floats  # (3, 3) [N²] at that place
-    chi2: float  # of the residual
-    freedom: int  # degrees of freedom of the residual
     place: float  # [m] arc length
     interval: tuple[float, float]  # [m] of the place, 95 %
     point: Floats  # (3,) [m] of the arm at the place, as the tracker sees it
@@ -224,25 +222,20 @@ class _Solution:
     normal: Floats  # (3, 3) [1/N²] information of measurement and prior
 
 
+@dataclass
 class _Fit:
-    """
-    Fit of force and place to one measurement.
+    """Fit of force and place to one measurement."""
 
-    It is (3 J,) of markers or (m,) of wire pulls [m], under inputs (1, m) [N].
-    """
+    observer: ContactObserver
+    inputs: Floats  # (1, m) [N]
+    measured: Floats  # (3 J,) of markers or (m,) of wire pulls [m]
+    markers: bool
+    frames: int
 
-    def __init__(
-        self,
-        observer: ContactObserver,
-        inputs: Floats,
-        measured: Floats,
-        markers: bool,
-        frames: int,
-    ) -> None:
-        self.observer, self.inputs, self.measured = observer, inputs, measured
-        self.markers, self.frames, self.rows = markers, frames, np.isfinite(measured)
+    def __post_init__(self) -> None:
+        self.rows = np.isfinite(self.measured)
         self.factor: Floats = np.zeros((0, 0))
-        self.lacked: Floats = np.zeros(len(measured))  # [m] motion by what is not described
+        self.lacked: Floats = np.zeros(len(self.rows))  # [m] motion by what is not described
 
     def solve(self, force: Floats, place: float) -> Contact:
         """Return the contact; raise NoEquilibriumError where the model has no equilibrium."""
@@ -360,13 +353,11 @@ class _Fit:
         if self.markers:
             self.observer.slopes = np.zeros((len(self.rows), 3))
             self.observer.slopes[self.rows] = np.linalg.solve(self.factor, best.columns)
-        freedom, wider = max(int(self.rows.sum()) - 3, 1), self._wider(best)
         self._predicted(best.force, best.place)  # the last one may be another's
         point = self.observer.point_at(best.place)
-        mean, covariance = self._spread(best, wider)
+        mean, covariance = self._spread(best, self._wider(best))
         off = float(np.nanmax(np.abs(self.measured - best.expected - self.lacked)))
-        chi2, place = best.chi2, best.place
-        return Contact(mean, covariance, chi2, freedom, place, interval, point, off, acts)
+        return Contact(mean, covariance, best.place, interval, point, off, acts)
 
     def _spread(self, solution: _Solution, wider: float) -> tuple[Floats, Floats]:
         """

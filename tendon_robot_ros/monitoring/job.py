@@ -38,9 +38,9 @@ RESULT, REPORT, BETTER = 'diagnosis.json', 'diagnosis.html', 'better.yaml'
 IMPROVED = 'improved.yaml'
 
 
-def send(kind: str, **values: Any) -> None:
-    """Send a line to the parent."""
-    print(json.dumps({'kind': kind, **values}), flush=True)
+def send(kind: str, text: str = '', **values: Any) -> None:
+    """Send a line to the parent, with a text for people."""
+    print(json.dumps({'kind': kind, 'text': text, **values}), flush=True)
 
 
 class DiagnosisProgress:
@@ -60,7 +60,7 @@ class DiagnosisProgress:
         )
         duration = f'{remaining / 60.0:.0f} min' if remaining > 90.0 else f'{remaining:.0f} s'
         where = f'{what} {done}/{total} ({100.0 * self._part:.0f} %, about {duration} to go)'
-        send('progress', text=where, part=self._part)
+        send('progress', where, part=self._part)
 
 
 def work(folder: Path, effects: Sequence[str]) -> None:
@@ -77,14 +77,14 @@ def work(folder: Path, effects: Sequence[str]) -> None:
 
     diagnosis = diagnose(dataset, None, catalogue, 1, DiagnosisProgress())
     diagnosis.save(folder / RESULT)
-    report = _report(diagnosis, folder / REPORT)
-    send('verdict', content=diagnosis.to_json() | {
-        'sentence': verdict(diagnosis), 'lines': lines(diagnosis), 'report': report,
+    report, sentence = _report(diagnosis, folder / REPORT), verdict(diagnosis)
+    send('verdict', sentence, content=diagnosis.to_json() | {
+        'sentence': sentence, 'lines': lines(diagnosis), 'report': report,
         'colour': diagnosis.verdict.colour, 'guide': guide_of(diagnosis.verdict, folder),
         'may_add': diagnosis.adds, 'rows': [*map(candidate_row, diagnosis.candidates)],
     })  # fmt: skip
     if diagnosis.effects:
-        send('progress', text='fitting what was found, with its intervals', part=1.0)
+        send('progress', 'fitting what was found, with its intervals', part=1.0)
         names = [effect.name for effect in diagnosis.effects]
         partial = not diagnosis.adds
         addition = add_effects(
@@ -92,8 +92,8 @@ def work(folder: Path, effects: Sequence[str]) -> None:
         )
         write_text(folder / BETTER, dump_robot(addition.robot))
         check = addition.check
-        send('addition', file=str(folder / BETTER), effects=names, partial=partial,
-             before=check.before, after=check.after, floor=check.floor)  # fmt: skip
+        send('addition', f'ready to add {listed(names)}', file=str(folder / BETTER), effects=names,
+             partial=partial, before=check.before, after=check.after)  # fmt: skip
         if report:  # once more, with pictures and the error after the addition
             from ..report.diagnosis_page import pictures_of
 
@@ -180,7 +180,7 @@ class Work:
                     complaints.seek(0)
                     ended = f'ended with code {child.returncode}'
                     why = (complaints.read().strip().splitlines() or [ended])[-1]
-                    lines.put({'kind': 'failed', 'text': why})
+                    lines.put({'kind': 'failed', 'text': f'the diagnosis failed: {why}'})
 
         self._child, self._lines = child, lines
         self._reader = threading.Thread(target=read, daemon=True)
@@ -217,27 +217,21 @@ class Work:
         news = []
         while not self._lines.empty():
             news.append(item := self._lines.get())
-            item.setdefault('text', '')
             if item['kind'] == 'verdict':
                 self._verdict = Verdict(item['content']['verdict'])
-                item['text'] = item['content']['sentence']
             elif item['kind'] == 'addition':
                 self._addition = item
-                item['text'] = f'ready to add {listed(item["effects"])}'
             elif item['kind'] == 'failed':
                 self._requested = None
-                item['text'] = f'the diagnosis failed: {item["text"]}'
-        return [*news, *self._due()]
-
-    def _due(self) -> list[dict[str, Any]]:
-        """Return the message with the addition once it is requested and ready."""
         addition, requested = self._addition, self._requested
-        if addition is None or requested is None:
-            return []
-        self._requested, self._sent = None, addition
-        if addition['partial'] and not requested:
-            return [{'kind': 'refused', 'text': 'nothing was added: see partial'}]
-        return [{'kind': 'add', 'file': addition['file'], 'text': f'sending {addition["file"]}'}]
+        if addition is not None and requested is not None:
+            self._requested, self._sent = None, addition
+            file = addition['file']
+            if addition['partial'] and not requested:
+                news.append({'kind': 'refused', 'text': 'nothing was added: see partial'})
+            else:
+                news.append({'kind': 'add', 'file': file, 'text': f'sending {file}'})
+        return news
 
     def answered(self, accepted: bool, reason: str) -> str:
         """Take the controller's answer to the new description; return it in words."""
@@ -254,8 +248,7 @@ class Work:
         """Kill the running diagnosis."""
         if self._child is None:
             return
-        if self._child.poll() is None:
-            self._child.kill()
+        self._child.kill()  # does nothing to one that has ended
         self._child.wait()
         self._reader.join(timeout=2.0)
         self._child, self._lines = None, queue.SimpleQueue()

@@ -18,7 +18,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import DataSetError, InputError, NoEquilibriumError
 from ..data import DataSet, Marker, default_markers
-from ..inference.statistics import RARE, chi2_isf, mean_over, root_mean
+from ..inference.statistics import RARE, chi2_isf, mean_over, rms
 from ..robot import Robot
 from ..robot.estimates import INPUT_TOLERANCE
 
@@ -143,11 +143,8 @@ class StillWindow:
         changes = np.abs(inputs[early].mean(axis=0) - inputs[~early].mean(axis=0))
         if np.nan_to_num(changes).max() > self.change:  # nan: not observable
             return None
-        moved = np.linalg.norm(
-            mean_over(positions[early], 0) - mean_over(positions[~early], 0), axis=1
-        )
-        moved = moved[np.isfinite(moved)]
-        if not len(moved) or np.sqrt((moved**2).mean()) > self.speed * self.duration / 2:
+        moved = rms(mean_over(positions[early], 0) - mean_over(positions[~early], 0))
+        if not moved <= self.speed * self.duration / 2:  # nan: no marker was seen
             return None
         middle = mean_over(positions, 0)
         deviations = positions - middle
@@ -283,7 +280,7 @@ class Monitor:
     kept: bool = True  # whether the recording is saved, or empty
     problem: str = ''
     _shape: Shape | None = None
-    _tips: deque[tuple[float, float]] = field(default_factory=deque)
+    _tips: deque[tuple[float, Floats]] = field(default_factory=deque)  # [s], (3,) [m] errors
     _last_kind: str = 'tension'
     _last_posture: StillMeasurement | None = None  # the last result of `new_posture`
 
@@ -326,25 +323,19 @@ class Monitor:
         self.problem = ''
         points = self.model.measured(shape.markers(self._arcs, self._offsets)[None])[0]
         self._record(time, tensions, pulls, positions)
-        error = positions[-1] - points[-1] if quiet is not None else np.full(3, np.nan)
-        size = float(np.linalg.norm(error))
-        if np.isfinite(size):
-            self._tips.append((time, size))
+        if quiet is not None:
+            self._tips.append((time, positions[-1] - points[-1]))
         # also what came before the clock was set back
         while self._tips and not time - self.settings.rolling <= self._tips[0][0] <= time:
             self._tips.popleft()
-        rolling = root_mean(np.array([one**2 for _, one in self._tips]))
+        rolling = rms(np.array([error for _, error in self._tips]).reshape(-1, 3))
         return Compared(positions, points, rolling)
 
     def new_posture(self) -> StillMeasurement | None:
         """Return the measurement of a new posture at rest, in tensions; None without one."""
-        settled = self._windows['tension'].settled()
-        if settled is None or not np.isfinite(settled.inputs).all():
-            return None
-        if self._same(settled, self._last_posture, 'tension'):
-            return None
-        self._last_posture = self._averaged(settled, 'tension')
-        return self._last_posture
+        new = self._new('tension', self._last_posture)
+        self._last_posture = new or self._last_posture
+        return new
 
     def start_recording(self) -> None:
         """Start a recording, or continue one that is not saved yet."""
@@ -417,24 +408,27 @@ class Monitor:
         window.put(time, tensions if kind == 'tension' else pulls, positions)
         if not self.recording:
             return
-        settled = window.settled()
         last = self.recorded[-1] if self.recorded and kind == self._last_kind else None
-        if settled is None or self._same(settled, last, kind):
+        if (new := self._new(kind, last)) is None:
             return
         if kind != self._last_kind:
             self.recorded.clear()
         self._last_kind = kind
-        self.recorded.append(self._averaged(settled, kind))
+        self.recorded.append(new)
 
-    def _same(self, settled: StillMeasurement, last: StillMeasurement | None, kind: str) -> bool:
-        """Whether the arm is still at the last posture."""
-        if last is None:
-            return False
-        moved = np.nan_to_num(np.abs(settled.inputs - last.inputs)).max()
-        return bool(moved < 2.0 * self._windows[kind].change)
+    def _new(self, kind: str, last: StillMeasurement | None) -> StillMeasurement | None:
+        """
+        Return the measurement of an arm at rest; None without one, or still at the last posture.
 
-    def _averaged(self, settled: StillMeasurement, kind: str) -> StillMeasurement:
-        """Return a measurement with the mean of all states in its window, not of its frames."""
+        Its inputs are the mean of all states in the window, not of its frames.
+        """
+        window = self._windows[kind]
+        if (settled := window.settled()) is None:
+            return None
+        if last is not None:
+            moved = np.nan_to_num(np.abs(settled.inputs - last.inputs)).max()
+            if moved < 2.0 * window.change:
+                return None
         mean = self.states.mean(settled.begin, settled.end)
         if mean is None:
             return settled

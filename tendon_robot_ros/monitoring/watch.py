@@ -29,7 +29,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -45,7 +45,7 @@ from ..model.model import Model
 from ..robot import dump_robot, parse_robot
 from .built_arm import ODD_PROBABILITY, BuiltArm, differences
 from .change import JUDGED_POSTURES, ChangeFinder, Suspect, changes_of, described
-from .contact import Contact, ContactObserver
+from .contact import ContactObserver
 
 FORMAT = 'tendon_robot_ros/change@1'
 SIZES = 'remainder', 'setting', 'widening'  # fields of a learned arm
@@ -118,14 +118,9 @@ class DriftAlarm:
         self._changes = changes_of(arm)
         self._frees = [free for change in self._changes for free in change.frees]
         # columns of each change in the signatures, and their prior 1 sd
-        count, self._places = 0, list[slice]()
-        self._spread = np.ones(len(self._frees) + len(arm.plausible))
-        for change in self._changes:
-            begin = count if change.is_effect else len(self._frees) + change.members.start
-            count += len(change.frees)
-            place = slice(begin, begin + len(change.spread))
-            self._places.append(place)
-            self._spread[place] = change.spread
+        sizes = [len(change.spread) for change in self._changes]
+        self._places = [slice(*ends) for ends in pairwise([0, *np.cumsum(sizes)])]
+        self._spread = np.concatenate([change.spread for change in self._changes])
         self.restart()
 
     def restart(self) -> None:
@@ -242,8 +237,9 @@ class DriftAlarm:
         whole = self.arm.whole
         whole.inputs = np.maximum(tensions, 0.0)[None]
         moves = differences(whole, {}, self._frees)
-        states = len(self.arm.plausible)
-        return np.column_stack([*moves[0, :, 0], built[:, :states] / self.arm.plausible])
+        members = [change.members for change in self._changes]  # after all effects
+        own = [built[:, place] / self.arm.plausible[place] for place in members]
+        return np.column_stack([*moves[0, :, 0], *own])
 
 
 def log_ratio(information: Floats, score: Floats, spread: Floats) -> Floats:
@@ -336,16 +332,11 @@ class ArmWatch:
     settings: WatchSettings = field(default_factory=WatchSettings)
 
     def __post_init__(self) -> None:
-        """Start to learn."""
-        self.learn_anew()
-
-    def learn_anew(self) -> None:
-        """Restart with the next postures as references."""
+        """Begin without a reference."""
         robot, catalogue = self.model.robot, self.model.catalogue
         self._arm = BuiltArm(robot, catalogue, self.markers, self.settings.tracker_noise)
-        self._observer = ContactObserver(self._arm)
-        self._references: list[tuple[Floats, Floats]] = []
-        self._frames = 1  # smallest number of frames of a reference
+        self.observer = ContactObserver(self._arm)  # of what pushes it, but while learning
+        self._references: list[tuple[Floats, Floats, int]] = []  # as of `update`
         self._learning: threading.Thread | None = None
         self.alarm: DriftAlarm | None = None
 
@@ -386,42 +377,19 @@ class ArmWatch:
         """Update by a posture at rest: tensions (m,) [N], the mean of frames (J, 3) [m]."""
         if self.alarm is not None:
             return self.alarm.update(tensions, positions, frames)
-        self._frames = frames if not self._references else min(frames, self._frames)
         if self._learning is None:
-            self._references.append((tensions, positions))
+            self._references.append((tensions, positions, frames))
             if len(self._references) >= self.settings.reference_postures:
-                known = self._arm, tuple(self._references), self._frames
-                self._learning = ComputingThread(partial(self._learn, *known), 'learning')
+                self._learning = ComputingThread(self._learn, 'learning')
                 self._learning.start()
         return None
 
-    def wait(self) -> None:
-        """Wait until the arm is learned."""
-        if self._learning is not None:
-            self._learning.join()
-
     @property
-    def slopes(self) -> Floats | None:
-        """Last Jacobian of the markers by the force (3 J, 3) [m/N], None before one."""
-        return self._observer.slopes
+    def learning(self) -> bool:
+        """Whether a thread learns the arm, and so uses its model."""
+        return self._learning is not None and self.alarm is None
 
-    def force(
-        self,
-        tensions: Floats,
-        positions: Floats | None,
-        pulls: Floats | None = None,
-        frames: int = 1,
-    ) -> Contact | None:
-        """Return what pushes the arm, None while the arm is learned; see `ContactObserver`."""
-        if self._learning is not None and self.alarm is None:
-            return None  # the thread that learns uses the model
-        return self._observer.update(tensions, positions, pulls, frames)
-
-    def _learn(
-        self, arm: BuiltArm, references: Sequence[tuple[Floats, Floats]], frames: int
-    ) -> None:
-        tensions, positions = (np.array(part) for part in zip(*references, strict=True))
-        arm.fit(tensions, positions, frames)
-        alarm = DriftAlarm(arm, self.settings.alarm_postures)
-        if arm is self._arm:  # else the arm is learned anew
-            self.alarm = alarm
+    def _learn(self) -> None:
+        tensions, positions, frames = zip(*self._references, strict=True)
+        self._arm.fit(np.array(tensions), np.array(positions), min(frames))
+        self.alarm = DriftAlarm(self._arm, self.settings.alarm_postures)

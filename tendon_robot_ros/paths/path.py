@@ -146,11 +146,8 @@ def smooth_curve(times: Floats, positions: Floats, piece: Ints, fraction: Floats
         if not np.all(lengths > 1e-9):
             return None
         along = np.concatenate([[0.0], np.cumsum(lengths)])
-    if len(along) < 3:
-        slopes = np.zeros_like(positions)
-    else:
-        slopes = pchip_interpolate(along, positions, along, der=1, axis=0)
-        slopes[[0, -1]] = 0.0
+    slopes = pchip_interpolate(along, positions, along, der=1, axis=0)
+    slopes[[0, -1]] = 0.0
     curve = CubicHermiteSpline(along, positions, slopes, axis=0)
     return np.asarray(curve(along[piece] + fraction * (along[piece + 1] - along[piece])))
 
@@ -220,8 +217,6 @@ class Plan:
         Distance and angle of the tip from the samples.
     detours : ndarray, shape (N - 1,) [m]
         Distance of the tip from the path half way between the tensions of two samples.
-    requested_duration : float
-        Duration [s] as it was given.
     regions : tuple of str
         That keep the arm away from its path, in the order of the path.
 
@@ -246,16 +241,13 @@ class Plan:
         self.position_errors = np.array([one.position_error for one in found])
         self.direction_errors = np.array([one.direction_error for one in found])
         self.regions = tuple(dict.fromkeys(one.region for one in found if one.region))
-        self.requested_duration = float(path.times[-1])
         lengths, turns = pieces(path.positions, path.directions)
         changes = np.abs(np.diff(tensions, axis=0)).max(axis=1, initial=0.0)
         least = lengths / pace.speed, turns / pace.turning, changes / pace.tension
         gaps = np.max([np.diff(path.times), *least], axis=0)
         self.path = replace(path, times=np.concatenate([[0.0], np.cumsum(gaps)]))
         halfway = 0.5 * (tensions[:-1] + tensions[1:])
-        if not len(halfway):
-            between = np.zeros((0, 3))
-        elif model.remembers:  # each from the sample before it, the first one from the start
+        if model.remembers:  # each from the sample before it, the first one from the start
             both = np.stack([tensions[:-1], halfway], axis=1).reshape(-1, tensions.shape[1])
             between = model.sequence(both, start.memory.copy()).tip_position[1::2]
         else:

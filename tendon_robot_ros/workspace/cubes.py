@@ -123,11 +123,8 @@ class Cubes:
         self.side = 2 * self.half
         self.postures = 0
         self.lows, self.highs = np.full(3, np.inf), np.full(3, -np.inf)
-        self._known = Rows(
-            where=np.zeros(0, dtype=np.int64),
-            seen=np.zeros(0, dtype=np.int64),
-            best=np.zeros((0, len(robot.inputs) + 6)),
-        )
+        none = np.zeros(0, dtype=np.int64)
+        self._known = Rows(none, none, np.zeros((0, len(robot.inputs) + 6)))
         self._coming: list[Rows] = []
 
     def add(self, tensions: Floats, tips: Floats, directions: Floats) -> None:
@@ -217,8 +214,7 @@ def beyond(cells: Ints, known: Ints) -> Bools:
     near = np.zeros(np.maximum(cells.max(axis=0), known.max(axis=0)) - low + 2, dtype=bool)
     for step in np.ndindex(3, 3, 3):
         near[tuple((known - low + step - 1).T)] = True
-    known_or_beside: Bools = near[tuple((cells - low).T)]
-    return ~known_or_beside
+    return np.asarray(~near[tuple((cells - low).T)])
 
 
 def _grid(cells: Ints) -> tuple[Bools, Ints]:

@@ -83,7 +83,7 @@ class _Design:
     """Tensions that bend sections by a wanted angle, without friction."""
 
     def __init__(self, robot: Robot, random: np.random.Generator, squeezes: bool) -> None:
-        self.robot, self.random, self.squeezes = robot, random, squeezes
+        self.random, self.squeezes = random, squeezes
         self.count = len(robot.inputs)
         self.last = end_sections(robot)  # section that an input ends in
         self.rate = bend_rates(robot)  # bend of that section per newton [rad/N]

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,7 @@ CELL_BEND_MAX_RAD = np.radians(20.0)
 # of the tip or so apart, else the highest and the lowest would be missed
 POSTURES_PER_SIDE = 250
 WORKSPACE_FILES = ('postures.csv', 'workspace.npz')
+HEIGHTS = 'highest', 'middle', 'lowest'
 
 
 @dataclass(frozen=True)
@@ -95,8 +96,7 @@ class Family:
     @property
     def tips(self) -> Floats:
         """Tip positions (b, 3) [m]."""
-        tip: Floats = self.positions[:, -1]
-        return tip
+        return np.asarray(self.positions[:, -1])
 
     @property
     def is_flat(self) -> bool:
@@ -111,8 +111,13 @@ class Family:
     @property
     def salient(self) -> tuple[int, int, int]:
         """Indices of the postures with the highest, the median and the lowest tip."""
-        order = np.argsort(self.tips[:, 2], kind='stable')
-        return int(order[-1]), int(order[len(order) // 2]), int(order[0])
+        return by_height(self.tips)
+
+
+def by_height(tips: Floats) -> tuple[int, int, int]:
+    """Return the indices of the highest, the median and the lowest of tips (b, 3) [m]."""
+    order = np.argsort(tips[:, 2], kind='stable')
+    return int(order[-1]), int(order[len(order) // 2]), int(order[0])
 
 
 class Workspace:
@@ -191,7 +196,7 @@ class Workspace:
                 'larger'
             )
         self.unsolved, self.largest = 0, 0.0  # postures without equilibrium; [rad] tip angle
-        parts: dict[tuple[int, int, int], list[tuple[Floats, ...]]] = {}
+        parts: dict[tuple[Pair, int, int], list[tuple[Floats, ...]]] = {}
         for which, pair in enumerate(self.pairs):
             for start in range(0, count, ROWS_AT_ONCE):
                 own = np.arange(start, min(start + ROWS_AT_ONCE, count))
@@ -212,14 +217,11 @@ class Workspace:
                     rows &= (angle >= 0.0) == (side > 0)  # near 0°, too, it is on one side only
                     if rows.any():
                         part = tuple(array[rows] for array in arrays)
-                        parts.setdefault((v, which, side), []).append(part)
+                        parts.setdefault((pair, v, side), []).append(part)
                 listener(progress)('postures', which * count + start + len(own), total)
         families = [
-            Family(
-                *(self.pairs[which], self.views[v], side),
-                *map(np.concatenate, zip(*rows, strict=True)),
-            )
-            for (v, which, side), rows in parts.items()
+            Family(pair, self.views[v], side, *map(np.concatenate, zip(*rows, strict=True)))
+            for (pair, v, side), rows in parts.items()
         ]
         # those with postures, the largest of a view first
         self.families = sorted(families, key=lambda f: (self.views.index(f.view), -len(f)))
@@ -259,11 +261,9 @@ def save_workspace(workspace: Workspace, folder: Path) -> None:
         writer = csv.writer(file)
         writer.writerow(['view', 'pair', *inputs, 'angle', 'x', 'y', 'z'])
         for family in workspace.families:
-            for tensions, angle, tip in zip(
-                family.tensions.tolist(), family.angle, family.tips, strict=True
-            ):
-                numbers = [f'{value:.6g}' for value in (*tensions, angle, *tip)]
-                writer.writerow([f'{family.view:.6g}', ' + '.join(family.pair.inputs), *numbers])
+            first = f'{family.view:.6g}', ' + '.join(family.pair.inputs)
+            table = np.column_stack([family.tensions, family.angle, family.tips])
+            writer.writerows([*first, *(f'{value:.6g}' for value in row)] for row in table)
     n, m = workspace.robot.cells, len(inputs)
     empty = {'tensions': (0, m), 'bend': (0, n, 2), 'positions': (0, n, 3), 'angle': (0,)}
     families = workspace.families
@@ -271,30 +271,23 @@ def save_workspace(workspace: Workspace, folder: Path) -> None:
         name: np.concatenate([np.zeros(shape), *(getattr(family, name) for family in families)])
         for name, shape in empty.items()
     }
-    pairs = [pair.inputs for pair in workspace.pairs]
     for name, values in (
         ('view', [family.view for family in families]),
         ('side', [family.side for family in families]),
-        ('pair', [pairs.index(family.pair.inputs) for family in families]),
+        ('pair', [workspace.pairs.index(family.pair) for family in families]),
     ):
         arrays[name] = np.repeat(values, [len(family) for family in families])
-    arrays |= {'inputs': np.array(inputs), 'pairs': np.array([' + '.join(pair) for pair in pairs])}
+    pairs = [' + '.join(pair.inputs) for pair in workspace.pairs]
+    arrays |= {'inputs': np.array(inputs), 'pairs': np.array(pairs)}
     np.savez_compressed(folder / WORKSPACE_FILES[1], **arrays)
 
 
-@dataclass(frozen=True)
-class Posture:
-    """A posture to go to."""
+class Posture(NamedTuple):
+    """A posture to go to, by its tip."""
 
     name: str
-    tensions: Floats  # (m,) [N]
-    position: Floats  # (3,) [m] of the tip
+    position: Floats  # (3,) [m]
     direction: Floats  # (3,)
-
-    @classmethod
-    def of(cls, name: str, shape: Shape) -> Posture:
-        """Name a shape."""
-        return cls(name, shape.inputs, shape.tip_position, shape.tip_direction)
 
 
 def salient(model: Model) -> list[Posture]:
@@ -305,21 +298,17 @@ def salient(model: Model) -> list[Posture]:
     pretension, the lower limit; the tip's height is its z.
     """
     back = view(model, np.pi)
-    order = np.argsort(back.tip_position[:, 2])
-    chosen = [
-        ('highest, 180° view', order[-1]),
-        ('middle, 180° view', order[len(order) // 2]),
-        ('lowest, 180° view', order[0]),
-    ]
-    postures = [Posture.of(name, model.shape(back.inputs[row])) for name, row in chosen]
+    rows = list(by_height(back.tip_position))
+    tips = zip(HEIGHTS, back.tip_position[rows], back.tip_direction[rows], strict=True)
+    postures = [Posture(f'{height}, 180° view', *tip) for height, *tip in tips]
     s_shaped = view(model, np.pi / 4)
     first = model.robot.sections[0].cells
     opposite = np.flatnonzero(s_shaped.bend[:, :first, 0].sum(axis=1) < -CELL_BEND_MAX_RAD)
     if len(opposite) == 0:
         raise InputError(f'{model.robot.name}: no S-shape at the 45° view within its limits')
-    height = s_shaped.tip_position[opposite, 2]
-    middle = opposite[np.argsort(height)[len(height) // 2]]
-    return [*postures, Posture.of('S-shape, 45° view', model.shape(s_shaped.inputs[middle]))]
+    middle = opposite[by_height(s_shaped.tip_position[opposite])[1]]
+    tip = s_shaped.tip_position[middle], s_shaped.tip_direction[middle]
+    return [*postures, Posture('S-shape, 45° view', *tip)]
 
 
 def view(model: Model, angle: float, step: float = 0.1) -> ShapeBatch:
@@ -393,9 +382,9 @@ def _planar_inputs(model: Model) -> tuple[int, int, int]:
     return sides[first, False], sides[first, True], sides[second, True]
 
 
-def look_around(model: Model, angle: float, steps: int) -> list[Posture]:
+def look_around(model: Model, angle: float, steps: int) -> list[Shape]:
     """
-    Return postures, one after the other, that all look at an angle [rad] from the base axis.
+    Return shapes, one after the other, that all look at an angle [rad] from the base axis.
 
     A robot of two sections in a plane keeps its direction and moves its tip through all postures
     of section IV.B of the paper, from the highest to the lowest. A spatial robot turns once around
@@ -420,7 +409,7 @@ def look_around(model: Model, angle: float, steps: int) -> list[Posture]:
     return _around(model, angle, steps)
 
 
-def _in_plane(model: Model, angle: float, steps: int) -> list[Posture]:
+def _in_plane(model: Model, angle: float, steps: int) -> list[Shape]:
     held = view(model, angle, float(model.limits.max()) / POSTURES_PER_SIDE)
     changes = np.abs(np.diff(held.inputs, axis=0)).max(axis=1)
     distinct = np.concatenate([[True], changes > 1e-6])
@@ -432,17 +421,17 @@ def _in_plane(model: Model, angle: float, steps: int) -> list[Posture]:
             f'{model.robot.name}: only one posture at the {np.degrees(angle):.0f}° view'
         )
     chosen = np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], steps) - 1e-12))
-    return [Posture.of(str(i), model.shape(inputs[row])) for i, row in enumerate(chosen)]
+    return [model.shape(inputs[row]) for row in chosen]
 
 
-def _around(model: Model, angle: float, steps: int) -> list[Posture]:
+def _around(model: Model, angle: float, steps: int) -> list[Shape]:
     straight = model.shape(model.limits[:, 0])  # from there, a gentle bend and no curl
     looks = np.array([np.sin(angle), 0.0, np.cos(angle)])
     first = model.reach(direction=looks, guess=straight)
-    postures, shape = [], first.shape
-    for i, phi in enumerate(np.linspace(0.0, 2.0 * np.pi, steps)):
+    shapes = [first.shape]
+    for phi in np.linspace(0.0, 2.0 * np.pi, steps):
         place, along = about(2, phi) @ first.shape.tip_position, about(2, phi) @ looks
-        solution = model.reach(place, along, guess=shape)
+        solution = model.reach(place, along, guess=shapes[-1])
         apart, turned = solution.position_error, solution.direction_error
         if apart > POSITION_TOLERANCE_M or turned > DIRECTION_TOLERANCE_RAD:
             raise InputError(
@@ -450,6 +439,5 @@ def _around(model: Model, angle: float, steps: int) -> list[Posture]:
                 f'turned by {np.degrees(phi):.0f}°: nearest {1e3 * apart:.1f} mm, '
                 f'{np.degrees(turned):.1f}°; ask for a smaller angle'
             )
-        shape = solution.shape
-        postures.append(Posture.of(str(i), shape))
-    return postures
+        shapes.append(solution.shape)
+    return shapes[1:]

@@ -47,7 +47,7 @@ def main(arguments: Sequence[str]) -> int:
     model = load(load_robot(ROBOT), catalogue)
     robot, length = model.robot, model.robot.length
     beyond = np.array([0.9 * length, 0.0, 0.9 * length])
-    unreachable = Posture('out of reach', model.limits[:, 0], beyond, np.array([1.0, 0.0, 0.0]))
+    unreachable = Posture('out of reach', beyond, np.array([1.0, 0.0, 0.0]))
     postures = [*salient(model), unreachable]
     effects = ', '.join(
         name + ' ' + ' '.join(f'{key}={value}' for key, value in values.items())

@@ -211,7 +211,7 @@ def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) 
     regions = load_keep_out(options.keep_out) if options.keep_out else None
     planned = Plan(model, path, pace, start, regions)
     length = np.linalg.norm(np.diff(path.positions, axis=0), axis=1).sum()
-    requested = planned.requested_duration
+    requested = float(path.times[-1])
     timed = rows.times is not None and planned.duration > requested + 0.01
     note = f' instead of {requested:.1f} s, to keep the limits' if timed else ''
     print(f'{len(path.rows)} rows, {1e3 * length:.0f} mm of path, {planned.duration:.1f} s{note}')

@@ -36,7 +36,6 @@ from ...data.folder import read_markers
 from ...data.tracker_faults import is_missing
 from ...monitoring import Monitor, MonitorSettings
 from ...monitoring.job import Work
-from ...monitoring.watch import ArmWatch
 from ...robot import load_robot
 from ..shared import interface, messages
 from ..shared.lifecycle import ERROR, OK, WARN, Status
@@ -85,7 +84,7 @@ class MonitorNode(Runnable):
         for name, act in services.items():
             messages.offer_trigger(self, f'~/{name}', act, self._publish_progress)
         # its response is a file for `investigate`, not for users
-        messages.offer_trigger(self, '~/change', lambda: self._watched().change())
+        messages.offer_trigger(self, '~/change', lambda: self._watched().watch.change())
         repeat(self, VALUES_PERIOD_S, self._cycle)
         if not self.parameters['model']:
             repeat(self, STATUS_PERIOD_S, lambda: self._remote.ask(self._load))
@@ -252,13 +251,14 @@ class MonitorNode(Runnable):
 
     def learn(self) -> str:
         """Restart the learning of the arm; return a text."""
-        self._watched().learn_anew()
-        return self._watched().text
+        watching = self._watched()
+        watching.set_model(watching.watch.model)
+        return watching.watch.text
 
-    def _watched(self) -> ArmWatch:
+    def _watched(self) -> Watching:
         if self.watching is None:
             raise InputError('nothing is watched: see the parameter reference_postures')
-        return self.watching.watch
+        return self.watching
 
     def record(self) -> str:
         """Start to record postures, or stop; return a text."""

@@ -114,7 +114,7 @@ class Watching:
             return
         self._frames.put(at, tensions, positions)
         if self._is_due():
-            tensions, positions, frames = self._frames.take(self.watch.slopes)
+            tensions, positions, frames = self._frames.take(self.watch.observer.slopes)
             self._publish(tensions, positions, None, frames)
 
     def blind(self) -> None:
@@ -137,7 +137,10 @@ class Watching:
     ) -> None:
         if not np.isfinite(tensions).all():
             return
-        self.contact = contact = self.watch.force(tensions, positions, pulls, frames)
+        watch, find = self.watch, self.watch.observer.update
+        self.contact = contact = (
+            None if watch.learning else find(tensions, positions, pulls, frames)
+        )
         if contact is None:
             return
         self._react(contact)
