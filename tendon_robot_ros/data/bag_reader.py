@@ -17,22 +17,11 @@ from ..common.rotations import from_quaternion
 from ..common.words import PROGRAM, listing
 from ..robot.estimates import NOISE_FACTOR, TRACKER_NOISE_M
 from .arrays import NO_ROTATION
-from .bag_writer import (
-    DESCRIPTION,
-    JOINT_STATE,
-    LABEL,
-    POSE_ARRAY,
-    POSE_STAMPED,
-    ROBOT,
-    STRING,
-    joints_of,
-    need_rosbags,
-    parse_pose_array,
-    poses_of,
-)
+from .bag_writer import DESCRIPTION, JOINT_STATE, LABEL, POSE_ARRAY, ROBOT, STRING, need_rosbags
 from .tracker_faults import CHANCE_PROBABILITY
 
 STORED = ('.mcap', '.db3')  # endings of recordings in one file
+POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
 TF = 'tf2_msgs/msg/TFMessage'
 
 
@@ -254,6 +243,53 @@ def _track(bag: str, times: Floats, samples: Sequence[tuple[int, Floats]]) -> Tr
 def _sane(values: Floats) -> Floats:
     """Replace values that are no measurements, and would overflow in a sum, by NaN."""
     return np.where(np.abs(values) < 1e9, values, np.nan)
+
+
+def poses_of(message: Any) -> tuple[str, Floats]:
+    """Take the frame and x, y, z [m], qx, qy, qz, qw of a PoseStamped, (1, 7)."""
+    p, q = message.pose.position, message.pose.orientation
+    return message.header.frame_id, np.array([[p.x, p.y, p.z, q.x, q.y, q.z, q.w]])
+
+
+def parse_pose_array(data: bytes) -> tuple[str, Floats]:
+    """
+    Take the frame and the poses (J, 7) from the bytes of a PoseArray.
+
+    Ten minutes of thirty markers at 100 Hz are two million poses: as objects they take half a
+    minute, so that the one message that holds many numbers is read here.
+
+    Raises
+    ------
+    ValueError
+        The bytes are no PoseArray.
+
+    """
+    order = '<' if data[1] == 1 else '>'  # CDR: four bytes of encoding, then aligned fields
+    body = memoryview(data)[4:]
+
+    def count(place: int) -> int:
+        return int(np.frombuffer(body, f'{order}u4', 1, place)[0])
+
+    size = count(8)  # after the stamp
+    frame = bytes(body[12 : 12 + size]).rstrip(b'\0').decode()
+    place = -(-(12 + size) // 4) * 4
+    number = count(place)
+    place = -(-(place + 4) // 8) * 8
+    values = np.frombuffer(body, f'{order}f8', 7 * number, place) if number else np.zeros(0)
+    return frame, values.reshape(number, 7).astype(float)
+
+
+def joints_of(message: Any, names: Sequence[str]) -> tuple[list[float], list[float]]:
+    """Return pulls [m] and tensions [N] of the named tendons of a JointState; NaN = missing."""
+    # a damaged recording may name the fields otherwise
+    every, pulls, tensions = (getattr(message, one, ()) for one in ('name', 'position', 'effort'))
+    places = {name: place for place, name in enumerate(every)}
+
+    def pick(values: Sequence[float]) -> list[float]:
+        columns = (places.get(name, len(values)) for name in names)
+        return [float(values[i]) if i < len(values) else float('nan') for i in columns]
+
+    return pick(pulls), pick(tensions)
 
 
 BASES = ('', 'base', 'base_link', 'base_frame')  # and what ends with _base

@@ -12,8 +12,8 @@ import numpy as np
 from ..common.arrays import Floats, interpolated
 from ..common.errors import DataSetError
 from ..common.rotations import angle_between, from_quaternion
-from .bag_reader import opened, stored, topic_of
-from .bag_writer import JOINT_STATE, POSE_STAMPED, joints_of, poses_of
+from .bag_reader import POSE_STAMPED, joints_of, opened, poses_of, stored, topic_of
+from .bag_writer import JOINT_STATE
 from .csv_file import CsvFile, csv_text
 
 PLACE, VIEW = ('x', 'y', 'z'), ('dx', 'dy', 'dz')
