@@ -58,9 +58,16 @@ class Recording:
     robot: str | None  # text of robot.yaml
     frame: str = ''  # in which the markers are
     start: int = 0  # [ns] when it began
+    # (T, m) [N] or [m] at `state_times`, once it is known which of them are those of the robot
+    inputs: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
-    def inputs(self, names: tuple[str, ...], kind: str) -> Floats:
-        """Return the inputs at `state_times`, (T, m) [N] or [m], NaN where not given."""
+    @property
+    def in_base(self) -> bool:
+        """Whether the markers are in the frame of the base."""
+        return is_base(self.frame)
+
+    def states_of(self, names: tuple[str, ...], kind: str) -> Floats:
+        """Return the named tensions or pulls, (T, m) [N] or [m], NaN where not given."""
         column = 0 if kind == 'displacement' else 1
         return _sane(np.array([joints_of(state, names)[column] for state in self.states]))
 
@@ -376,22 +383,19 @@ class Transforms:
         return rotation, shift
 
 
-def with_markers(
-    recording: Recording, topics: Topics, names: Sequence[str], bag: str | Path
-) -> Recording:
+def with_markers(recording: Recording, topics: Topics, names: Sequence[str]) -> Recording:
     """
-    Return a recording with its markers, where these came as poses or transforms of their own.
+    Return a recording with its markers, in the frame of the base if its transforms lead there.
+
+    Where it has none yet, they came as poses or transforms of their own.
 
     Parameters
     ----------
     recording : Recording
-        Without markers.
     topics : Topics
         Its `markers` may name frames instead of topics.
     names : sequence of str
         Of the markers of the description: by default a frame, or a part of a topic, is called so.
-    bag : path
-        Of the recording.
 
     Raises
     ------
@@ -399,6 +403,9 @@ def with_markers(
         No topic and no frame has the name of a marker; the message lists the existing ones.
 
     """
+    if recording.tracks:
+        return _to_base(recording)
+    bag = recording.name
     with opened(bag) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
     stamped = [topic for topic in other_sources(types) if types[topic] == POSE_STAMPED]
@@ -414,7 +421,7 @@ def with_markers(
     if lacking:
         shown = [*stamped, *frames]
         raise DataSetError(
-            str(bag),
+            bag,
             f'topic /{topics.shape.lstrip("/")} is not in it, and no topic or frame of /tf is '
             f'called {listing(lacking)}',
             f'say which is which marker, --marker {next(iter(chosen))}=NAME for each; there: '
@@ -424,7 +431,7 @@ def with_markers(
     poses = {parent: transforms.to_base(parent) for parent, _ in placed}
     if None in poses.values() and len(poses) > 1:
         raise DataSetError(
-            str(bag),
+            bag,
             f'markers are given in the frames {listing(sorted(poses))}, which nothing joins',
             'record all of them in one frame, or /tf_static with them',
         )
@@ -436,9 +443,9 @@ def with_markers(
     return replace(recording, tracks=tuple(tracks), marker_names=tuple(chosen), frame=frame)
 
 
-def in_base(recording: Recording) -> Recording:
+def _to_base(recording: Recording) -> Recording:
     """Transform a recording to the frame of the base if its transforms allow it."""
-    if is_base(recording.frame):
+    if recording.in_base:
         return recording
     pose = Transforms(recording).to_base(recording.frame.lstrip('/'))
     if pose is None:
@@ -468,15 +475,9 @@ APART_FRACTION = 0.1
 CHANCE = 0.006
 
 
-def refuse_two_senders(recording: Recording, inputs: Floats) -> None:
+def refuse_two_senders(recording: Recording) -> None:
     """
     Refuse a recording in which messages about two different states take turns.
-
-    Parameters
-    ----------
-    recording : Recording
-    inputs : (T, m) [N] or [m]
-        At its `state_times`.
 
     Raises
     ------
@@ -484,7 +485,7 @@ def refuse_two_senders(recording: Recording, inputs: Floats) -> None:
         Two programs publish one topic, or a clock was set back: what, from when to when.
 
     """
-    states = alternating(recording.state_times, inputs)
+    states = alternating(recording.state_times, recording.inputs)
     shapes = [
         alternating(track.times, track.positions.reshape(len(track.times), -1))
         for track in recording.tracks

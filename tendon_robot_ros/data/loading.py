@@ -20,29 +20,11 @@ from ..common.files import new_file, shared_file
 from ..common.words import listing
 from ..robot import Robot, RobotLike, load_robot, parse_robot
 from .arrays import PLAUSIBLE_FACTOR, Marker, default_markers, join_visits, too_tense
-from .bag_reader import (
-    Recording,
-    Topics,
-    Track,
-    in_base,
-    is_bag,
-    is_base,
-    read_bag,
-    refuse_two_senders,
-    with_markers,
-)
+from .bag_reader import Recording, Topics, is_bag, read_bag, refuse_two_senders, with_markers
 from .bag_writer import DESCRIPTION, ROBOT
 from .dataset import EXPECTED, DataSet, HasDataSet, Part, as_dataset
 from .folder import describe, read_fields, read_folder
-from .still_segments import (
-    ArmMotion,
-    Rule,
-    Segment,
-    find_segments,
-    motion,
-    never_still,
-    segments_dataset,
-)
+from .still_segments import ArmMotion, Rule, Segment, find_segments, never_still, segments_dataset
 from .tracker_faults import (
     changes,
     exchange_lines,
@@ -66,11 +48,9 @@ class Imported:
     dataset: DataSet
     segments: tuple[Segment, ...]
     motion: ArmMotion
-    state_times: Floats  # (T,) [s]
-    inputs: Floats  # (T, m) [N] or [m]
+    recording: Recording
     rule: Rule
     left_out: tuple[str, ...]  # one line about each measurement or reading that was not used
-    frame: str = 'base'  # in which the positions are
 
 
 def import_bag(
@@ -127,11 +107,8 @@ def import_bag(
     described = _describe(recording, robot, description)
     listed, kind = described.pop('markers'), described['input']
     expected = listed or default_markers(robot)
-    if recording.tracks:
-        recording = in_base(recording)
-    else:
-        recording = with_markers(recording, topics, [one.name for one in expected], bag)
-    if not in_tracker_frame and not is_base(recording.frame):
+    recording = with_markers(recording, topics, [one.name for one in expected])
+    if not in_tracker_frame and not recording.in_base:
         raise DataSetError(
             recording.name,
             f'markers are in the frame {recording.frame!r}, and no transform in it says where the '
@@ -140,15 +117,15 @@ def import_bag(
         )
     recording, renumbered_lines = _renumbered(recording, len(expected))
     markers = _markers(recording, robot, listed)
-    inputs = _inputs(recording, robot, kind)
+    recording = replace(recording, inputs=_inputs(recording, robot, kind))
     recording, unseen = _without_unseen(recording, robot, [marker.name for marker in markers])
-    refuse_two_senders(recording, inputs)
+    refuse_two_senders(recording)
     recording, exchanged = _put_back(recording)
     recording, unheard = _while_states_come(recording)
     rule = (rule or Rule()).fill(robot, kind)
-    speeds = motion(recording, inputs, rule)
+    speeds = ArmMotion.of(recording, rule)
     sequence = described['path'] == 'sequence'
-    segments, excluded = find_segments(recording, inputs, speeds, rule, sequence)
+    segments, excluded = find_segments(recording, speeds, rule, sequence)
     if not any(np.isfinite(one.positions).any() for one in segments):
         times = [track.times for track in recording.tracks]
         raise never_still(recording.name, [speeds], times, rule)
@@ -158,7 +135,7 @@ def import_bag(
             problem = f'wherever the arm stands still all inputs are below {rest:g}: at rest'
             raise DataSetError(recording.name, problem, 'lower what counts as rest')
     places = np.array([one.positions for one in segments])
-    if not is_base(recording.frame):  # of a tracker's frame only how far they spread
+    if not recording.in_base:  # of a tracker's frame only how far they spread
         places = places - np.nanmedian(places, axis=(0, 1))
     far = float(np.nan_to_num(np.abs(places)).max())
     if far > PLAUSIBLE_FACTOR * robot.length:
@@ -171,11 +148,9 @@ def import_bag(
         dataset,
         tuple(segments),
         speeds,
-        recording.state_times,
-        inputs,
+        recording,
         rule,
         (*renumbered_lines, *exchanged, *unseen, *unheard, *excluded),
-        recording.frame,
     )
 
 
@@ -215,8 +190,7 @@ def _without_unseen(
 ) -> tuple[Recording, list[str]]:
     """Exclude invalid readings of markers; return the recording and a line for each reason."""
     steps = [track.times[1:][changes(track.positions).any(axis=1)] for track in recording.tracks]
-    tracks: list[Track] = []
-    lines: list[str] = []
+    tracks, lines = [], list[str]()
     for k, track in enumerate(recording.tracks):
         others = np.sort(np.concatenate([np.zeros(0), *steps[:k], *steps[k + 1 :]]))
         news = np.diff(np.searchsorted(others, track.times)) > 0
@@ -247,7 +221,7 @@ def _describe(recording: Recording, robot: Robot, text: str | None) -> dict[str,
     fields = read_fields(text or '', source)
     described = describe(fields, robot)
     if not fields.has('input'):  # a driver that observes no tension gives NaN
-        observed = np.isfinite(recording.inputs(robot.inputs, 'tension')).any()
+        observed = np.isfinite(recording.states_of(robot.inputs, 'tension')).any()
         described['input'] = 'tension' if observed else 'displacement'
     return described
 
@@ -277,7 +251,7 @@ def _markers(
 
 
 def _inputs(recording: Recording, robot: Robot, kind: str) -> Floats:
-    inputs = recording.inputs(robot.inputs, kind)
+    inputs = recording.states_of(robot.inputs, kind)
     listed = {name for state in recording.states for name in state.name}
     for name, column in zip(robot.inputs, inputs.T, strict=True):
         if name not in listed:
@@ -365,8 +339,8 @@ def draw_segments(imported: Imported, path: str | Path) -> Path:
         middle = (one.begin + one.end) / 2
         above.text(middle, 1.01, name, transform=above.get_xaxis_transform(), **style)
     scale, label = (1.0, 'tension [N]') if data.input == 'tension' else (1e3, 'wire pull [mm]')
-    for name, values in zip(data.input_names, imported.inputs.T, strict=True):
-        below.plot(imported.state_times, scale * values, linewidth=0.9, label=name)
+    for name, values in zip(data.input_names, imported.recording.inputs.T, strict=True):
+        below.plot(imported.recording.state_times, scale * values, linewidth=0.9, label=name)
     below.set_ylabel(label)
     below.set_xlabel('time [s]')
     for axes in (above, below):

@@ -49,53 +49,47 @@ class ArmMotion:
     speed: Floats  # (G,) [m/s], inf where no marker was seen
     change: Floats  # (G,) [N] or [m], largest of the inputs
 
+    @classmethod
+    def of(cls, recording: Recording, rule: Rule) -> ArmMotion:
+        """
+        Compute speed and change of inputs; the rule gives the window.
 
-def motion(recording: Recording, inputs: Floats, rule: Rule) -> ArmMotion:
-    """
-    Compute speed and change of inputs.
+        Raises
+        ------
+        DataSetError
+            The recording is too long for so short a window.
 
-    Parameters
-    ----------
-    recording : Recording
-        Gives the markers and the times.
-    inputs : ndarray
-        (T, m) [N] or [m] at `recording.state_times`.
-    rule : Rule
-        Gives the window.
-
-    Raises
-    ------
-    DataSetError
-        The recording is too long for so short a window.
-
-    """
-    window = rule.duration / 2
-    ends = [track.times[[0, -1]] for track in recording.tracks]
-    start, end = min(e[0] for e in ends), max(e[1] for e in ends)
-    start = max(start, recording.state_times[0])  # what the inputs were before, nothing tells
-    size = sum(track.positions.shape[1] for track in recording.tracks)
-    if (end - start) / window * STEPS_PER_WINDOW * size > VALUES_MAX:
-        problem = f'{end - start:.0f} s are too long to look for {rule.duration:g} s of stillness'
-        remedy = 'ask for a longer duration or import a part of the recording'
-        raise DataSetError(recording.name, problem, remedy)
-    times = np.arange(start + window / 2, end - window / 2 + 1e-9, window / STEPS_PER_WINDOW)
-    half = window / 2
-    begin = np.concatenate([times - half, times])
-    speeds = []  # (G,) [m/s] of each marker; one by one, because a million frames fill the memory
-    for track in recording.tracks:
-        for j in range(track.positions.shape[1]):
-            means = sample_means(track.times, track.positions[:, j], begin, begin + half)
-            before, after = np.split(means, 2)
-            speeds.append(np.linalg.norm(after - before, axis=1) / half)
-    squares = np.stack(speeds, axis=1) ** 2  # (G, J)
-    valid = np.isfinite(squares)
-    mean = np.where(valid, squares, 0.0).sum(axis=1) / np.maximum(valid.sum(axis=1), 1)
-    before = held_means(recording.state_times, inputs, times - half, times)
-    after = held_means(recording.state_times, inputs, times, times + half)
-    slackened = np.isnan(before) != np.isnan(after)
-    changes = np.where(slackened, np.inf, np.nan_to_num(np.abs(after - before)))
-    speed = np.where(valid.any(axis=1), np.sqrt(mean), np.inf)
-    return ArmMotion(times, speed, changes.max(axis=1))
+        """
+        window = rule.duration / 2
+        ends = [track.times[[0, -1]] for track in recording.tracks]
+        start, end = min(e[0] for e in ends), max(e[1] for e in ends)
+        start = max(start, recording.state_times[0])  # what the inputs were before, nothing tells
+        size = sum(track.positions.shape[1] for track in recording.tracks)
+        if (end - start) / window * STEPS_PER_WINDOW * size > VALUES_MAX:
+            problem = (
+                f'{end - start:.0f} s are too long to look for {rule.duration:g} s of stillness'
+            )
+            remedy = 'ask for a longer duration or import a part of the recording'
+            raise DataSetError(recording.name, problem, remedy)
+        times = np.arange(start + window / 2, end - window / 2 + 1e-9, window / STEPS_PER_WINDOW)
+        half = window / 2
+        begin = np.concatenate([times - half, times])
+        # (G,) [m/s] of each marker; one by one, because a million frames fill the memory
+        speeds = []
+        for track in recording.tracks:
+            for j in range(track.positions.shape[1]):
+                means = sample_means(track.times, track.positions[:, j], begin, begin + half)
+                before, after = np.split(means, 2)
+                speeds.append(np.linalg.norm(after - before, axis=1) / half)
+        squares = np.stack(speeds, axis=1) ** 2  # (G, J)
+        valid = np.isfinite(squares)
+        mean = np.where(valid, squares, 0.0).sum(axis=1) / np.maximum(valid.sum(axis=1), 1)
+        before = held_means(recording.state_times, recording.inputs, times - half, times)
+        after = held_means(recording.state_times, recording.inputs, times, times + half)
+        slackened = np.isnan(before) != np.isnan(after)
+        changes = np.where(slackened, np.inf, np.nan_to_num(np.abs(after - before)))
+        speed = np.where(valid.any(axis=1), np.sqrt(mean), np.inf)
+        return cls(times, speed, changes.max(axis=1))
 
 
 def never_still(
@@ -225,7 +219,7 @@ class Segment:
 
 
 def find_segments(
-    recording: Recording, inputs: Floats, moved: ArmMotion, rule: Rule, sequence: bool
+    recording: Recording, moved: ArmMotion, rule: Rule, sequence: bool
 ) -> tuple[list[Segment], list[str]]:
     """
     Return the measurements of a recording, and a line for each one that is excluded.
@@ -233,9 +227,7 @@ def find_segments(
     Parameters
     ----------
     recording : Recording
-        Gives the markers, and the labels if there are any.
-    inputs : ndarray
-        (T, m) [N] or [m] at `recording.state_times`.
+        Gives the markers and the inputs, and the labels if there are any.
     moved : ArmMotion
         Speed and change of inputs.
     rule : Rule
@@ -245,7 +237,7 @@ def find_segments(
 
     """
     if not any(text for _, text in recording.labels):
-        averages = [_average(recording, inputs, *part) for part in still_stretches(moved, rule)]
+        averages = [_average(recording, *part) for part in still_stretches(moved, rule)]
         return name_segments(averages, rule, sequence), []
     segments, excluded = [], []
     ends = [time for time, _ in recording.labels[1:]] + [np.inf]
@@ -262,9 +254,9 @@ def find_segments(
         inside = [part for part in stretches if begin <= part[0] and part[1] <= end]
         if inside:
             longest = max(inside, key=lambda part: part[1] - part[0])
-            one = _average(recording, inputs, *longest)
+            one = _average(recording, *longest)
         elif sequence:
-            one = _average(recording, inputs, begin, end - 1e-6)  # only its inputs are known
+            one = _average(recording, begin, end - 1e-6)  # only its inputs are known
             nothing = np.full_like(one.positions, np.nan), np.full_like(one.orientations, np.nan)
             one = replace(one, positions=nothing[0], orientations=nothing[1])
         else:
@@ -274,7 +266,7 @@ def find_segments(
     return segments, excluded
 
 
-def _average(recording: Recording, inputs: Floats, begin: float, end: float) -> Segment:
+def _average(recording: Recording, begin: float, end: float) -> Segment:
     """Average over a stretch of time."""
     first, last = np.array([begin]), np.array([end])
     positions, orientations, noise = [], [], []
@@ -291,7 +283,9 @@ def _average(recording: Recording, inputs: Floats, begin: float, end: float) -> 
     return Segment(
         begin,
         end,
-        held_means(recording.state_times[near], inputs[near], first, last)[0].round(DIGITS),
+        held_means(recording.state_times[near], recording.inputs[near], first, last)[0].round(
+            DIGITS
+        ),
         np.concatenate(positions).round(DIGITS),
         np.concatenate(orientations),
         float(np.sqrt(np.mean(np.square(noise)))),

@@ -185,7 +185,7 @@ class ImportedTable(TextResult):
             part = _thinned(axes, piece.recording.state_times)
             axes.set_prop_cycle(color=COLOURS)
             times = begin + piece.recording.state_times[part]
-            lines = axes.plot(times, scale * piece.inputs[part], linewidth=1.0)
+            lines = axes.plot(times, scale * piece.recording.inputs[part], linewidth=1.0)
         place: Any = {'loc': 'lower left', 'bbox_to_anchor': (0.0, 1.0)}  # above
         axes.legend(lines, self.dataset.input_names, ncols=4, borderpad=0.0, **place)
         self._shade(axes)

@@ -26,14 +26,7 @@ from .imported import ImportedTable
 from .markers import AS_GIVEN, MarkerOrder, flag_columns, order_markers, places_contradicted
 from .measuring import FROM_STRAIGHT, SEQUENCE, VISITS, StillMeasurements
 from .reading import read_tables, widened
-from .recipe import (
-    FrameChoice,
-    MarkerColumns,
-    Recipe,
-    Selection,
-    Stillness,
-    as_recipe,
-)
+from .recipe import FrameChoice, MarkerColumns, Recipe, Selection, Stillness, as_recipe
 from .registration import Placed, rotation_vector, side_offset, up_that_fits
 from .traces import follow_renumbered, make_traces
 

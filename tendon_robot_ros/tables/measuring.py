@@ -21,7 +21,6 @@ from ..data.still_segments import (
     Rule,
     Segment,
     find_segments,
-    motion,
     name_segments,
     never_still,
     still_stretches,
@@ -85,7 +84,7 @@ def let_go_between(pieces: Sequence[Piece], same: float) -> tuple[int, int, floa
     """
     count, of, level = 0, 0, 0.0
     for piece in pieces:
-        sizes = np.nan_to_num(piece.inputs).max(axis=1)
+        sizes = np.nan_to_num(piece.recording.inputs).max(axis=1)
         lowest = float(np.quantile(sizes, 0.01))
         loaded = [one for one in piece.segments if _size(one) > lowest + 3.0 * same]
         if not loaded:
@@ -104,7 +103,6 @@ class Piece:
     """One recording: its content, the motion of the arm, and its still segments."""
 
     recording: Recording
-    inputs: Floats  # (T, m) [N] or [m]
     motion: ArmMotion | None  # None: every row is a measurement
     segments: tuple[Segment, ...]
     resting: tuple[Segment, ...]
@@ -159,7 +157,7 @@ class StillMeasurements:
         sparse = _too_far_apart(traces, rule) if recipe.time else ''
         if recipe.time:
             traces = [replace(one, recording=_denser(one.recording, rule)) for one in traces]
-            motions = [_without_peaks(motion(t.recording, t.inputs, rule)) for t in traces]
+            motions = [_without_peaks(ArmMotion.of(t.recording, rule)) for t in traces]
             rule = _still_rule(motions, traces, rule, recipe)
         self.rule = rule
         pairs = zip_longest(traces, motions)
@@ -287,7 +285,7 @@ def _still_rule(
             rule, speed=float(np.clip(round(quiet, 5), Rule.speed, UNUSUAL_FACTOR * Rule.speed))
         )
     if recipe.still.change is None and len(changes):
-        size = max(float(np.nanquantile(np.abs(one.inputs), 0.995)) for one in traces)
+        size = max(float(np.nanquantile(np.abs(one.recording.inputs), 0.995)) for one in traces)
         quiet = NOISE_FACTOR * float(np.quantile(changes, QUIET_FRACTION))
         usual = INPUT_TOLERANCE * max(size, 1e-9)
         rule = replace(rule, change=float(f'{np.clip(quiet, usual, UNUSUAL_FACTOR * usual):.3g}'))
@@ -298,25 +296,27 @@ def _piece(
     traces: Traces, moved: ArmMotion | None, rule: Rule, chosen: Selection, robot: Robot
 ) -> Piece:
     """Return a recording with its still segments, or a segment for every row."""
-    recording, inputs = traces.recording, traces.inputs
+    recording = traces.recording
     if moved is None:
         positions = recording.tracks[0].positions
         turned = np.full((positions.shape[1], 4), np.nan)
         segments = [
-            Segment(float(i), float(i), inputs[i].round(9), place.round(9), turned, np.nan)
+            Segment(
+                float(i), float(i), recording.inputs[i].round(9), place.round(9), turned, np.nan
+            )
             for i, place in enumerate(positions)
         ]
     else:
         cleaned = _without_gaps(recording, still_stretches(moved, rule))
-        segments, _ = find_segments(cleaned, inputs, moved, rule, sequence=True)
+        segments, _ = find_segments(cleaned, moved, rule, sequence=True)
     segments = [one for one in segments if np.isfinite(one.positions).any()]
     if segments and chosen.recipe.zero:  # inputs count from those of the first segment
         zero = segments[0].inputs
-        inputs = inputs - zero
+        recording = replace(recording, inputs=recording.inputs - zero)
         segments = [replace(one, inputs=(one.inputs - zero).round(9)) for one in segments]
     if segments:
         segments = plausible_inputs(recording.name, segments, robot, chosen.kind, rule)
-    return Piece(recording, inputs, moved, tuple(segments), (), traces.cut)
+    return Piece(recording, moved, tuple(segments), (), traces.cut)
 
 
 def _without_gaps(recording: Recording, stretches: Sequence[tuple[float, float]]) -> Recording:

@@ -116,10 +116,9 @@ def input_factor(unit_text: str, spool: WireSpool) -> float:
 
 @dataclass(frozen=True)
 class Traces:
-    """What one recording holds; inputs have times of their own where they have their own file."""
+    """One recording; its inputs have times of their own where they have their own file."""
 
     recording: Recording
-    inputs: Floats  # (T, m) [N] or [m] at `recording.state_times`
     unseen: dict[str, Ints]  # readings (J,) of each marker that are none, by why
     # (K, 5) readings that were cut out, because a marker was elsewhere for a moment: time [s],
     # index of the marker, place [m]
@@ -234,10 +233,12 @@ def _trace(
         positions, exchanges = put_back(positions)
     turned = np.broadcast_to(np.nan, (*positions.shape[:2], 4))
     track = Track(times, positions, turned)
-    recording = Recording(marker_table.name, state_times, [], (track,), (), [], None, None)
+    recording = Recording(
+        marker_table.name, state_times, [], (track,), (), [], None, None, inputs=inputs
+    )
     labels = [marker_label(marker.columns) for marker in recipe.markers or ()]
     exchange_notes = tuple(exchange_lines(exchanges, times, labels))
-    return Traces(recording, inputs, unseen, cut, delay, drift, clocks, exchange_notes)
+    return Traces(recording, unseen, cut, delay, drift, clocks, exchange_notes)
 
 
 def marker_places(
