@@ -194,7 +194,7 @@ def _without_unseen(
     for k, track in enumerate(recording.tracks):
         others = np.sort(np.concatenate([np.zeros(0), *steps[:k], *steps[k + 1 :]]))
         news = np.diff(np.searchsorted(others, track.times)) > 0
-        positions, counts = without_unseen(track.positions, robot.length, news=news)
+        positions, counts = without_unseen(track.positions, robot.length, news)
         lines += unseen_lines(counts, names if len(recording.tracks) == 1 else [names[k]])
         tracks.append(replace(track, positions=positions))
     return replace(recording, tracks=tuple(tracks)), lines

@@ -21,7 +21,7 @@ from ..common.words import TYPED_LENGTHS, UNITS, Unit, digits, find_unit, listin
 from ..data.arrays import Vector
 from ..data.dataset import PATHS
 from ..data.folder import DatasetFields, read_text
-from ..data.tracker_faults import UNSEEN_M, without_unseen
+from ..data.tracker_faults import without_unseen
 from ..robot import Robot
 from .columns import (
     FRAMES,
@@ -350,7 +350,7 @@ def plain(value: Any) -> Any:
 # [s] a median step above is in another unit, because nobody records an arm so slowly
 STEP_MAX_S = 2.0
 LENGTH_UNITS = ('m', 'mm')  # a factor of 1000, so that the size of the arm decides
-FAR = UNSEEN_M / UNITS['length']['mm']  # in the smallest unit that is tried
+SMALLEST = UNITS['length']['mm']  # [m] the smallest unit that is tried
 # [1] lengths of the arm that its markers may be apart, because a bent arm shows less, and one with
 # a long tool more
 EXTENT = (0.25, 1.3)
@@ -601,7 +601,7 @@ def _extent(tables: Sequence[RawTable], recipe: Recipe) -> float:
         markers = [m.columns[:3] for m in recipe.markers or () if table.holds(*m.columns)]
         if not markers:
             continue
-        places = without_unseen(table.places(markers, table.step), None, FAR)[0]
+        places = without_unseen(SMALLEST * table.places(markers, table.step), None)[0] / SMALLEST
         if len(markers) == 1:
             low, high = np.nanpercentile(places[:, 0], [2, 98], axis=0)
             return float((high - low).max())

@@ -15,14 +15,7 @@ from ..common.results import pandas
 from ..common.words import UNITS, find_unit, listing
 from ..data.arrays import FRAME_S, VALUES_MAX
 from ..data.bag_reader import Recording, Track
-from ..data.tracker_faults import (
-    UNSEEN_M,
-    exchange_lines,
-    joined,
-    put_back,
-    renumbered,
-    without_unseen,
-)
+from ..data.tracker_faults import exchange_lines, joined, put_back, renumbered, without_unseen
 from ..robot.estimates import TRACKER_NOISE_M
 from .columns import ROWS_MAX, UNUSUAL_FACTOR, RawTable, marker_label
 from .markers import circle_centres, not_visible
@@ -249,7 +242,7 @@ def marker_places(
     markers = [marker.parts for marker in recipe.markers or ()]
     rims = [points for parts in markers for points in parts]
     points = [point for rim in rims for point in rim]
-    positions, unseen = without_unseen(table.places(points), length / factor, UNSEEN_M / factor)
+    positions, unseen = without_unseen(factor * table.places(points), length)
     visible = np.isfinite(positions).all(axis=2)
     for why, hidden in not_visible(table, points).items():
         if (hidden & visible).any():
@@ -262,7 +255,7 @@ def marker_places(
     own = [range(a, b) for a, b in pairwise(counts.tolist())]
     first = np.cumsum([0, *(sum(map(len, parts)) for parts in markers)])[:-1]
     summed = {why: np.add.reduceat(count, first) for why, count in unseen.items()}
-    return joined(centres, own) * factor, summed
+    return joined(centres, own), summed
 
 
 def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: float) -> None:
