@@ -23,17 +23,7 @@ from ..data.dataset import PATHS
 from ..data.folder import DatasetFields, read_text
 from ..data.tracker_faults import without_unseen
 from ..robot import Robot
-from .columns import (
-    FRAMES,
-    UPS,
-    ColumnUse,
-    RawTable,
-    guess_inputs,
-    guess_time,
-    names_of,
-    need_column,
-    triples_of,
-)
+from .columns import FRAMES, UPS, RawTable, guess_inputs, guess_time, names_of, triples_of
 from .markers import CHOICES, Points, choose_points
 
 METHODS = ('model', 'level', 'straight', 'base')
@@ -47,6 +37,14 @@ OPTIONS = 'options'  # source of a recipe that options make
 OPTION_OF = {'places': 'markers', 'radius': 'spool'}  # key -> option, where another word
 Part = TypeVar('Part')
 Read = Callable[['RecipeFields', str], Any]
+
+
+@dataclass(frozen=True)
+class ColumnUse:
+    """A selected column and its unit; '' if the unit is unknown."""
+
+    column: str
+    unit: str
 
 
 class RecipeFields(DatasetFields):
@@ -457,28 +455,36 @@ class Selection:
             )
         return lines
 
+    def _take_given(self, column: str, option: str) -> None:
+        """Take a column that the recipe names; refuse one that no table has."""
+        if not any(table.holds(column) for table in self.tables):
+            first = self.tables[0]
+            problem, known = f'no column {column!r} ({option})', listing(first.columns)
+            raise DataSetError(first.name, problem, f'use one of {known}')
+        self.reasons[column] = 'as given'
+
     def _choose_times(self) -> None:
         recipe, tables = self.recipe, self.tables
         if recipe.time == {}:  # as given: every row is a measurement
             return
         times = dict(recipe.time or {})
         for column in times:
-            need_column(tables, column, 'time')
+            self._take_given(column, 'time')
         for table in tables:
-            if (mine := time_column(table, times)) is not None:
-                self.reasons[mine] = 'as given'
+            if time_column(table, times) is not None:
                 continue
-            if (use := guess_time(names_of(table))) is None:
+            if (guess := guess_time(names_of(table))) is None:
                 continue
-            self.reasons[use.column] = 'its name'
-            unit = recipe.time_unit or use.unit
-            if not unit and table.units.get(use.column) == FRAMES:
+            column = guess.column
+            self.reasons[column] = 'its name'
+            unit = recipe.time_unit or (guess.unit.text if guess.unit else '')
+            if not unit and table.units.get(column) == FRAMES:
                 problem = 'counts frames, and nothing says how many a second'
                 raise DataSetError(table.name, problem, 'say --unit time=60Hz, or how many it has')
             if not unit:
-                unit, note = _time_unit(table, use.column)
+                unit, note = _time_unit(table, column)
                 self.assumed += [f'{table.name}: {note}'] if note else []
-            times[use.column] = unit
+            times[column] = unit
         lacking = [table for table in tables if time_column(table, times) is None]
         # a unit was given, so a column must exist
         if lacking and (times or recipe.time_unit is not None):
@@ -498,8 +504,7 @@ class Selection:
         for name, use in inputs.items():
             if name not in robot.inputs:
                 raise InputError(f'inputs: expected {", ".join(robot.inputs)}, got {name!r}')
-            need_column(tables, use.column, f'input {name}')
-            self.reasons[use.column] = 'as given'
+            self._take_given(use.column, f'input {name}')
         missing = [name for name in robot.inputs if name not in inputs]
         if missing:
             guesses = (guess_inputs(names_of(t), missing) for t in tables)
@@ -510,9 +515,9 @@ class Selection:
                     f'{listing(n.column for t in tables for n in names_of(t) if not n.axis)}',
                     'name each by --column INPUT=COLUMN',
                 )
-            guessed, reason = guess
-            inputs |= guessed
-            self.reasons |= {use.column: reason for use in guessed.values()}
+            columns, reason = [one.column for one in guess[0]], guess[1]
+            inputs |= {name: ColumnUse(c, '') for name, c in zip(missing, columns, strict=True)}
+            self.reasons |= dict.fromkeys(columns, reason)
         written = self.written_units
         for name, use in inputs.items():  # the unit of an option, of the recipe, or of the file
             own = written[use.column].text if use.column in written else ''
@@ -533,8 +538,7 @@ class Selection:
         if recipe.markers is not None:
             for marker in recipe.markers:
                 for column in marker.columns:
-                    need_column(tables, column, 'markers')
-                    self.reasons[column] = 'as given'
+                    self._take_given(column, 'markers')
             return Points()
         points = choose_points(tables, recipe.points)
         for columns in points.columns:
