@@ -127,12 +127,9 @@ def read_frame(
     """
     for column in ('posture', 'marker', *POSITION, *inputs):
         if column not in frame.columns:
-            raise DataSetError(
-                name,
-                f'no column {column!r}',
-                f'a row per posture and marker needs posture, marker, x, y, z and '
-                f'{", ".join(inputs)}; {HINT}',
-            )
+            needed = f'posture, marker, x, y, z and {", ".join(inputs)}'
+            remedy = f'a row per posture and marker needs {needed}; {HINT}'
+            raise DataSetError(name, f'no column {column!r}', remedy)
     if not len(frame):
         raise DataSetError(name, 'has no row', HINT)
     postures, posture = _codes(frame['posture'])
@@ -146,11 +143,8 @@ def read_frame(
     values, counts = np.unique(rows, return_counts=True)
     if (counts > 1).any():
         p, q, j = np.unravel_index(int(values[counts.argmax()]), sizes)
-        raise DataSetError(
-            name,
-            f'posture {postures[p]!r}, trial {trials[q]!r}, marker {markers[j]!r} stands twice',
-            f'number the trials; {HINT}',
-        )
+        names = f'posture {postures[p]!r}, trial {trials[q]!r}, marker {markers[j]!r}'
+        raise DataSetError(name, f'{names} stands twice', f'number the trials; {HINT}')
     arrays: dict[str, Any] = {'postures': postures, 'trial_names': trials}
     for key, columns in (('positions', POSITION), ('orientations', QUATERNION)):
         if all(column in frame.columns for column in columns):
@@ -173,12 +167,10 @@ def read_frame(
     other = ~np.isclose(kept, pulled, rtol=0.0, atol=RESOLUTION, equal_nan=True)
     if other.any():
         row, column = np.argwhere(other)[0].tolist()
-        raise DataSetError(
-            f'{name}, row {row}',
-            f'{inputs[column]} is {pulled[row, column]:g}, in another row of this trial '
-            f'{kept[row, column]:g}',
-            'a trial has one value for each input',
-        )
+        one, another = f'{pulled[row, column]:g}', f'{kept[row, column]:g}'
+        problem = f'{inputs[column]} is {one}, in another row of this trial {another}'
+        remedy = 'a trial has one value for each input'
+        raise DataSetError(f'{name}, row {row}', problem, remedy)
     mean, arrays['trial_inputs'] = mean_inputs(each, ~np.isinf(each[..., 0]), postures, name)
     return arrays | {'inputs': mean}, markers, arc_lengths
 
@@ -239,9 +231,8 @@ def _numbers(frame: Any, columns: Sequence[str], name: str) -> Floats:
             try:
                 values[row, i] = np.nan if value is None else float(value)
             except (TypeError, ValueError):
-                raise DataSetError(
-                    f'{name}, row {row}', f'{column} is {short(value)}', 'expected a number or nan'
-                ) from None
+                where, problem = f'{name}, row {row}', f'{column} is {short(value)}'
+                raise DataSetError(where, problem, 'expected a number or nan') from None
     return values
 
 

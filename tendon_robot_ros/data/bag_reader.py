@@ -214,9 +214,8 @@ def _roles(bag: str, types: Mapping[str, str], topics: Topics) -> dict[str, str]
                 continue  # markers come otherwise: `with_markers` finds them, or says so
             known = listing(sorted(t for t, k in types.items() if k == kind))
             problem = f'is a {types[name]}' if name in types else 'is not in it'
-            raise DataSetError(
-                bag, f'topic {name} {problem}', f'name one that is a {kind}; there: {known}'
-            )
+            remedy = f'name one that is a {kind}; there: {known}'
+            raise DataSetError(bag, f'topic {name} {problem}', remedy)
         if other := roles.get(name_in_bag):
             problem = f'topic {name_in_bag} is given for {other} and for {role}'
             raise DataSetError(bag, problem, 'give each a topic of its own')
@@ -430,11 +429,9 @@ def with_markers(recording: Recording, topics: Topics, names: Sequence[str]) -> 
     placed = [transforms.track(frame) for frame in chosen.values()]
     poses = {parent: transforms.to_base(parent) for parent, _ in placed}
     if None in poses.values() and len(poses) > 1:
-        raise DataSetError(
-            bag,
-            f'markers are given in the frames {listing(sorted(poses))}, which nothing joins',
-            'record all of them in one frame, or /tf_static with them',
-        )
+        problem = f'markers are given in the frames {listing(sorted(poses))}, which nothing joins'
+        remedy = 'record all of them in one frame, or /tf_static with them'
+        raise DataSetError(bag, problem, remedy)
     tracks, frame = [], 'base'
     for parent, track in placed:
         pose = poses[parent]

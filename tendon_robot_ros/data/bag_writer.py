@@ -84,9 +84,8 @@ class BagWriter(AbstractContextManager['BagWriter']):
         except WriterError:
             raise DataSetError(str(folder), 'is there already', 'name a new folder') from None
         except OSError as error:
-            raise DataSetError(
-                str(folder), f'cannot be made ({error.strerror})', 'name another place'
-            ) from None
+            problem = f'cannot be made ({error.strerror})'
+            raise DataSetError(str(folder), problem, 'name another place') from None
         self._connections: dict[str, Any] = {}
 
     def add_topic(self, topic: str, kind: str, latched: bool = False) -> None:

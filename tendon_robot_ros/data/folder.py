@@ -133,9 +133,8 @@ def describe(fields: DatasetFields, robot: Robot) -> dict[str, Any]:
     for name in fields.mapping('known'):
         effect = fields.child('known').child(str(name))
         if not effect.content:
-            raise fields.error(
-                'known', 'parameters such as tip_load: {force_z: 0.98}', effect.content
-            )
+            expected = 'parameters such as tip_load: {force_z: 0.98}'
+            raise fields.error('known', expected, effect.content)
         known[str(name)] = {str(key): effect.number(str(key)) for key in effect.content}
     gravity = None
     if fields.has('gravity'):
@@ -168,9 +167,8 @@ def _markers(fields: DatasetFields, robot: Robot) -> tuple[Marker, ...]:
         arc_length = item.number('arc_length', 0.0, robot.length + 1e-9, 'm')
         offset = item.vector('offset', 3) if item.has('offset') else (0.0, 0.0, 0.0)
         if max(map(abs, offset)) > PLAUSIBLE_FACTOR * robot.length:
-            raise item.error(
-                'offset', 'at most three robot lengths [m] (is it in mm?)', list(offset)
-            )
+            expected = 'at most three robot lengths [m] (is it in mm?)'
+            raise item.error('offset', expected, list(offset))
         markers.append(Marker(item.label('name'), arc_length, offset))
     fields.unique('markers', [marker.name for marker in markers])
     return tuple(markers)
@@ -237,12 +235,10 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
         except TendonRobotError:
             own = robot
         if own.inputs != robot.inputs:
-            raise DataSetError(
-                str(folder),
-                f'was measured with the inputs {", ".join(own.inputs)} of {own.name}, but '
-                f'{robot.source} has {", ".join(robot.inputs)}',
-                'name a description of the robot that was measured',
-            ) from None
+            measured = f'was measured with the inputs {", ".join(own.inputs)} of {own.name}'
+            problem = f'{measured}, but {robot.source} has {", ".join(robot.inputs)}'
+            remedy = 'name a description of the robot that was measured'
+            raise DataSetError(str(folder), problem, remedy) from None
         raise
     between = described['path'] != 'from_straight'
     shapes = Shapes(folder / 'shapes.csv', robot, names, commands, between)
@@ -313,9 +309,8 @@ BESIDE = ('import.png', 'import.yaml')  # how it came out of tables
 def refuse_dataset_in(folder: str | Path, overwrite: bool) -> None:
     """Raise DataSetError, before any work, where a data set cannot go into a folder."""
     if not overwrite and (Path(folder) / 'dataset.yaml').is_file():
-        raise DataSetError(
-            str(folder), 'holds a data set already', 'name a new folder or allow --overwrite'
-        )
+        remedy = 'name a new folder or allow --overwrite'
+        raise DataSetError(str(folder), 'holds a data set already', remedy)
     refuse_other_files(Path(folder), (*FILES, *BESIDE) if overwrite else ())
 
 

@@ -98,9 +98,8 @@ def import_bag(
     topics = topics or Topics()
     recording = read_bag(bag, topics)
     if robot is None and recording.robot is None:
-        raise DataSetError(
-            recording.name, 'it holds no robot description', 'name one with --robot robot.yaml'
-        )
+        problem, remedy = 'it holds no robot description', 'name one with --robot robot.yaml'
+        raise DataSetError(recording.name, problem, remedy)
     if robot is None:
         robot = parse_robot(recording.robot or '', f'{recording.name}: {ROBOT}')
     robot = load_robot(robot)
@@ -255,11 +254,11 @@ def _inputs(recording: Recording, robot: Robot, kind: str) -> Floats:
     listed = {name for state in recording.states for name in state.name}
     for name, column in zip(robot.inputs, inputs.T, strict=True):
         if name not in listed:
-            raise DataSetError(
-                recording.name,
-                f'the tendon states do not name {name!r}; they name {listing(sorted(listed))}',
-                'use the robot description of the robot that was recorded',
+            problem = (
+                f'the tendon states do not name {name!r}; they name {listing(sorted(listed))}'
             )
+            remedy = 'use the robot description of the robot that was recorded'
+            raise DataSetError(recording.name, problem, remedy)
         if kind == 'tension' and not np.isfinite(column).any():
             problem = f'the tension of {name!r} was not observed (effort is empty or NaN)'
             remedy = 'say input: displacement in a dataset.yaml and name it with --description'
@@ -291,11 +290,9 @@ def plausible_inputs(
         return [replace(one, inputs=np.maximum(one.inputs, 0.0)) for one in segments]
     for value in (inputs.min(), inputs.max()):
         if abs(value) > robot.length:
-            raise DataSetError(
-                bag,
-                f'a wire is pulled by {value:g} m, but the robot is only {robot.length:g} m long',
-                'give metres (are these mm?)',
-            )
+            long = f'the robot is only {robot.length:g} m long'
+            problem = f'a wire is pulled by {value:g} m, but {long}'
+            raise DataSetError(bag, problem, 'give metres (are these mm?)')
     return segments
 
 
@@ -400,12 +397,9 @@ def load_dataset(data: DataSetLike, robot: RobotLike | None = None) -> DataSet:
     if other is None:
         return dataset
     if other.inputs != dataset.robot.inputs:
-        raise DataSetError(
-            dataset.name,
-            f'has the inputs {", ".join(dataset.robot.inputs)}, not {", ".join(other.inputs)} '
-            f'of {other.name}',
-            'name the robot that was measured',
-        )
+        own, given = (', '.join(one.inputs) for one in (dataset.robot, other))
+        problem = f'has the inputs {own}, not {given} of {other.name}'
+        raise DataSetError(dataset.name, problem, 'name the robot that was measured')
     return replace(dataset, robot=other)
 
 

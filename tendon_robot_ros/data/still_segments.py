@@ -377,12 +377,9 @@ def segments_dataset(
     np.add.at(filled, at, 1)
     if filled.max() > 1:
         twice = int((filled[at] > 1).argmax())
-        raise DataSetError(
-            bag,
-            f'posture {segments[twice].posture!r}, trial {segments[twice].trial!r} is labelled '
-            'twice',
-            'record it again with labels that differ',
-        )
+        named = f'posture {segments[twice].posture!r}, trial {segments[twice].trial!r}'
+        remedy = 'record it again with labels that differ'
+        raise DataSetError(bag, f'{named} is labelled twice', remedy)
     arrays: dict[str, Any] = {}
     for key in ('inputs', *READINGS):
         rows = np.array([getattr(one, key) for one in segments])

@@ -97,11 +97,8 @@ class RawTable:
             return values
         for row, text in enumerate(values):
             if text not in MISSING and not is_number(text):
-                raise DataSetError(
-                    self.where(row),
-                    f'{column} is {short(text)}',
-                    f'expected {expected}, or an empty cell where there is none',
-                )
+                remedy = f'expected {expected}, or an empty cell where there is none'
+                raise DataSetError(self.where(row), f'{column} is {short(text)}', remedy)
         return np.array([float(text) if text not in MISSING else np.nan for text in values])
 
 

@@ -67,11 +67,8 @@ def import_table(
     recipe = as_recipe(recipe)
     named = recipe.robot if robot is None else robot
     if named is None:
-        raise DataSetError(
-            'robot',
-            'none is named',
-            'describe the arm with `robot new`, then say --robot arm.yaml',
-        )
+        remedy = 'describe the arm with `robot new`, then say --robot arm.yaml'
+        raise DataSetError('robot', 'none is named', remedy)
     robot = load_robot(named)
     show('reading the tables', 0, 4)
     tables = _tables(source, recipe)

@@ -331,19 +331,15 @@ def order_markers(
         if len(visible) > 2:  # two may be one, exported twice
             raise _no_arm(name, float(apart.max()), robot)
         if len(known) > 1:
-            raise DataSetError(
-                name, f'has one marker, but {len(known)} places are given', 'give one of them'
-            )
+            problem = f'has one marker, but {len(known)} places are given'
+            raise DataSetError(name, problem, 'give one of them')
         only = known or (robot.length,)
         return MarkerOrder((members[0],), only, 'the only marker', (), twice, unseen)
     inner = apart[np.ix_(members, members)]
     if (inner < 0.0).any():
-        raise DataSetError(
-            name,
-            'some markers are never seen together while the arm stands still: nothing tells their '
-            'order',
-            'say each place in an import.yaml (arc_length of markers)',
-        )
+        problem = 'some markers are never seen together while the arm stands still: nothing tells '
+        remedy = 'say each place in an import.yaml (arc_length of markers)'
+        raise DataSetError(name, f'{problem}their order', remedy)
     # the ends are farthest apart, and of these the tip moves
     ends = [members[i] for i in np.unravel_index(int(inner.argmax()), inner.shape)]
     base = min(ends, key=lambda j: float(np.nanstd(positions[:, j], axis=0).sum()))

@@ -70,9 +70,8 @@ def read_tables(path: str | Path) -> list[RawTable]:
     shown, path = str(path), Path(path)
     if not path.is_file():
         problem = 'is a folder' if path.is_dir() else 'is not there'
-        raise DataSetError(
-            shown, problem, f'name a file that ends with {", ".join(TABLE_ENDINGS)}'
-        )
+        remedy = f'name a file that ends with {", ".join(TABLE_ENDINGS)}'
+        raise DataSetError(shown, problem, remedy)
     size = path.stat().st_size
     if size > BYTES_MAX:
         problem = f'has {size / 1e9:.1f} GB, more than {BYTES_MAX / 1e9:g} GB are not read at once'

@@ -488,9 +488,8 @@ class Selection:
         lacking = [table for table in tables if time_column(table, times) is None]
         # a unit was given, so a column must exist
         if lacking and (times or recipe.time_unit is not None):
-            raise DataSetError(
-                lacking[0].name, 'has no column of times', 'say --column time=COLUMN'
-            )
+            problem, remedy = 'has no column of times', 'say --column time=COLUMN'
+            raise DataSetError(lacking[0].name, problem, remedy)
         if not times:
             self.assumed.append(
                 'no column of times: every row is a measurement of the arm at rest '

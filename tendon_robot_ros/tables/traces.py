@@ -143,9 +143,8 @@ def make_traces(tables: Sequence[RawTable], chosen: Selection, length: float) ->
     for table in tables:
         if table not in with_inputs and table not in with_markers:
             missing = [c for c in (*inputs, *places) if not table.holds(c)]
-            raise DataSetError(
-                table.name, f'lacks the columns {listing(missing)}', 'give all tables the same'
-            )
+            problem = f'lacks the columns {listing(missing)}'
+            raise DataSetError(table.name, problem, 'give all tables the same')
     if len(with_inputs) != len(with_markers):
         problem = f'{len(with_inputs)} tables hold inputs and {len(with_markers)} markers'
         raise DataSetError(tables[0].name, problem, 'name one of each per recording')
@@ -180,9 +179,8 @@ def _trace(
         problem = f'there is no number in {listing(names)}'
         raise DataSetError(input_table.name, problem, 'name another column: --column INPUT=COLUMN')
     if not np.isfinite(positions).any():
-        raise DataSetError(
-            marker_table.name, 'no marker was ever seen', 'export the markers again'
-        )
+        problem, remedy = 'no marker was ever seen', 'export the markers again'
+        raise DataSetError(marker_table.name, problem, remedy)
     clocks, drift = '', drift or 0.0
     if not recipe.time:
         if len(input_table) != len(marker_table):
