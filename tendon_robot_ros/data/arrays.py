@@ -269,11 +269,6 @@ class Visits:
     trials: Ints  # (V,) index of the trial that it was; -1: more than one, or none
 
     @property
-    def in_one_go(self) -> bool:
-        """Whether the arm was straight before the first visit only."""
-        return not self.fresh[1:].any()
-
-    @property
     def origins(self) -> tuple[str, ...]:
         """Return the command (P,) that the arm came from; an empty name is the straight arm."""
         origins = [''] * len(self.commands)

@@ -18,15 +18,7 @@ from ..common.files import TABLE_ENDINGS, new_folder, refuse_other_files
 from ..common.words import PROGRAM, STANDARD_GRAVITY
 from ..common.yaml_reading import Reader, parse_yaml
 from ..robot import Robot, dump_robot, load_robot
-from .arrays import (
-    PLAUSIBLE_FACTOR,
-    POSITION,
-    QUATERNION,
-    Marker,
-    default_markers,
-    split_by_order,
-    split_by_origin,
-)
+from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, Marker, default_markers
 from .dataset import INPUTS, PATHS, DataSet, HasDataSet, as_dataset
 from .measurement_files import KEYS, ORIGIN, VISIT, Commands, Shapes
 
@@ -257,7 +249,9 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
         orientations=shapes.orientations,
         **described | {'markers': markers} | ({'path': 'sequence'} if visits else {}),
     ).without_unseen_markers()
-    return _by_history(dataset, commands) if visits else dataset
+    if not visits:
+        return dataset
+    return dataset.by_origin(*commands.by_history(dataset.trial_names, dataset.trial_mask))
 
 
 def refuse_table(path: Path) -> None:
@@ -284,22 +278,6 @@ def described_robot(folder: str | Path) -> Robot:
     """
     path = Path(folder) / 'dataset.yaml'
     return find_robot(read_fields(read_text(path), str(path)), Path(folder))
-
-
-def _by_history(dataset: DataSet, commands: Commands) -> DataSet:
-    """Split the trials of each posture by the command before."""
-    code, known = commands.codes['posture'], commands.trials is not None
-    trial = commands.translate('trial', dataset.trial_names) if known else None
-    trial_mask = dataset.trial_mask
-    measured = trial_mask.any(axis=1)[code] if trial is None else trial_mask[code, trial]
-    if commands.origin is not None:
-        split = split_by_origin(dataset.postures, code, commands.origin, measured)
-    else:
-        assert commands.visit is not None and trial is not None
-        order = np.argsort(commands.visit)
-        trial = trial[order]
-        split = split_by_order(dataset.postures, code[order], trial, measured[order])
-    return dataset.by_origin(split, trial)
 
 
 FILES = ('dataset.yaml', 'inputs.csv', 'robot.yaml', 'shapes.csv')
@@ -381,7 +359,7 @@ def _input_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
     if visits is None:
         keep = measured if dataset.path == 'from_straight' else np.ones_like(measured)
         places = np.argwhere(keep)
-    elif visits.in_one_go and (visits.trials >= 0).all():
+    elif not visits.fresh[1:].any() and (visits.trials >= 0).all():  # in one go
         by_trial = True
         order = np.lexsort((visits.trials, visits.rows))
         places = np.column_stack([visits.rows, visits.trials])[order]

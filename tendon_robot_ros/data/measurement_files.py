@@ -16,7 +16,10 @@ from .arrays import (
     QUATERNION,
     STRAIGHT,
     VALUES_MAX,
+    Split,
     mean_inputs,
+    split_by_order,
+    split_by_origin,
     too_tense,
 )
 from .csv_file import NEEDED, CsvFile
@@ -101,6 +104,23 @@ class Commands(CsvFile):
         values = np.full((len(self.postures), len(trials), self.values.shape[1]), np.nan)
         values[posture, self.translate('trial', trials)] = self.values
         return values
+
+    def by_history(self, trials: tuple[str, ...], seen: Bools) -> tuple[Split, Ints | None]:
+        """
+        Split the postures by the command before; return the trial (R,) of each row, too.
+
+        `seen` (P, Q) says in which trials a marker was visible; rows hold for all trials where
+        None is returned.
+        """
+        posture = self.codes['posture']
+        trial = None if self.trials is None else self.translate('trial', trials)
+        measured = seen.any(axis=1)[posture] if trial is None else seen[posture, trial]
+        if self.origin is not None:
+            return split_by_origin(self.postures, posture, self.origin, measured), trial
+        assert self.visit is not None and trial is not None
+        order = np.argsort(self.visit)
+        trial = trial[order]
+        return split_by_order(self.postures, posture[order], trial, measured[order]), trial
 
 
 def check_drums(file: CsvFile, robot: Robot) -> None:
@@ -243,9 +263,8 @@ class Shapes:
             raise file.error(1, problem, f'write {", ".join(QUATERNION)}, or none of them')
         file.read(KEYS, (*POSITION, *turned))
         xyz = _positions(file, robot)
-        self.trials = trials = sort_trials(
-            (*file.labels['trial'], *(commands.trials or ()))
-        )  # (Q,)
+        # (Q,)
+        self.trials = trials = sort_trials((*file.labels['trial'], *(commands.trials or ())))
         posture = _known(file, 'posture', commands.postures, 'inputs.csv has no such posture')
         marker = _known(file, 'marker', markers, 'dataset.yaml has no such marker')
         trial = file.translate('trial', trials)

@@ -152,9 +152,8 @@ def still_stretches(
         one that is a little too short will do.
 
     """
-    shortest = (
-        rule.duration / 2 if cuts is None else rule.duration / 4
-    )  # and half a window per end
+    # [s] and half a window per end
+    shortest = rule.duration / 2 if cuts is None else rule.duration / 4
     still = (moved.speed < rule.speed) & (moved.change < (rule.change or np.inf))
     part = 0 if cuts is None else np.searchsorted(cuts, moved.times, side='right')
     run = np.cumsum(np.diff(still * (part + 1), prepend=0) != 0)  # counts up where a run begins
