@@ -488,32 +488,29 @@ def refuse_two_senders(recording: Recording) -> None:
         for track in recording.tracks
     ]
     shape = next((one for one in shapes if one is not None), None)
+    if (first := states or shape) is None:
+        return
+    during, apart = f'from {first[0]:.1f} to {first[1]:.1f} s', first[2]
     if states is not None and shape is not None:
-        raise DataSetError(
-            recording.name,
-            f'from {states[0]:.1f} to {states[1]:.1f} s inputs and markers of two different times '
-            'take turns: the clock was set back while it was recorded, or two arms publish',
-            'record it again with a clock that runs on, or cut it there',
+        problem = (
+            f'{during} inputs and markers of two different times take turns: the clock was set '
+            'back while it was recorded, or two arms publish'
         )
-    if states is not None:
+        remedy = 'record it again with a clock that runs on, or cut it there'
+    elif states is not None:
         names = sorted({state.header.frame_id for state in recording.states} - {''})
         named = len(names) > 1  # programs that write a name of their own there
         who = f' ({listing(names)})' if named else ''
+        differ = f'{during} they differ by up to {apart:.3g}'
+        problem = f'two programs publish the tendon states{who}: {differ}'
         which = '' if named else ' (ros2 topic info --verbose names them while they run)'
-        remedy = f', or keep one: --sender {names[0]!r}' if named else ''
-        raise DataSetError(
-            recording.name,
-            f'two programs publish the tendon states{who}: from {states[0]:.1f} to '
-            f'{states[1]:.1f} s they differ by up to {states[2]:.3g}',
-            f'end one of them{which} and record again{remedy}',
-        )
-    if shape is not None:
-        raise DataSetError(
-            recording.name,
-            f'two programs publish markers on one topic: from {shape[0]:.1f} to {shape[1]:.1f} s '
-            f'places differ by up to {1e3 * shape[2]:.3g} mm',
-            'end one of them and record again, or give each a topic of its own',
-        )
+        remedy = f'end one of them{which} and record again'
+        remedy += f', or keep one: --sender {names[0]!r}' if named else ''
+    else:
+        differ = f'{during} places differ by up to {1e3 * apart:.3g} mm'
+        problem = f'two programs publish markers on one topic: {differ}'
+        remedy = 'end one of them and record again, or give each a topic of its own'
+    raise DataSetError(recording.name, problem, remedy)
 
 
 def alternating(times: Floats, values: Floats) -> tuple[float, float, float] | None:
