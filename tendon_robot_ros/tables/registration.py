@@ -11,13 +11,7 @@ from scipy.spatial.transform import Rotation
 from ..common.arrays import DIGITS, Bools, Floats
 from ..common.errors import DataSetError, InputError
 from ..common.estimation import ITERATIONS_MAX
-from ..common.rotations import (
-    angle_between,
-    from_rotation_vector,
-    rigid_fit,
-    rotation_about,
-    towards,
-)
+from ..common.rotations import angle_between, rigid_fit, rotation_about, towards
 from ..common.words import STANDARD_GRAVITY, listing, mm
 from ..data import DataSet
 from ..data.arrays import Vector
@@ -101,7 +95,8 @@ class TrackerFrame:
         self.method = choice.method or ('level' if has_verticals else 'model')
         if choice.rotation is not None and choice.shift is not None:
             self.method = choice.method or 'given'
-            rotation, shift = from_rotation_vector(choice.rotation), np.array(choice.shift)
+            rotation = Rotation.from_rotvec(choice.rotation).as_matrix()
+            shift = np.array(choice.shift)
         elif self.method == 'base':
             rotation, shift = np.eye(3), np.zeros(3)
         elif self.method == 'straight':
@@ -119,7 +114,7 @@ class TrackerFrame:
             rotation, shift = _weighted(measured @ first.T, markers, dataset.arc_lengths, above)
             rotation = rotation @ first
         # as a file gives it back
-        self.rotation = from_rotation_vector(rotation_vector(rotation))
+        self.rotation = Rotation.from_rotvec(rotation_vector(rotation)).as_matrix()
         self.shift = shift.round(DIGITS)
         off = measured @ self.rotation.T + self.shift - markers
         straight = _straight_postures(markers, dataset)
@@ -128,11 +123,6 @@ class TrackerFrame:
         self.straight = rms(off[straight]) if visible[straight].any() else None
         self.free = _free_residual(seen, model)
         self.mirrored = _free_residual(seen * [1.0, 1.0, -1.0], model)
-
-    @property
-    def is_mirrored(self) -> bool:
-        """Whether a left-handed frame fits much better, as when two inputs are swapped."""
-        return NOISE_FACTOR * self.mirrored < self.free > 2.0 * TRACKER_NOISE_M
 
     @property
     def is_contradicted(self) -> bool:
@@ -353,7 +343,7 @@ class Placed:
                 'tip: are markers, inputs and units right? (--frame base, where the table is in '
                 'the base frame)'
             )
-        if frame.is_mirrored:
+        if NOISE_FACTOR * frame.mirrored < frame.free > 2.0 * TRACKER_NOISE_M:
             lines.append(
                 f'a left-handed frame would fit better ({mm(frame.mirrored)} instead of '
                 f'{mm(frame.free)}): an axis has the wrong sign, or two inputs are swapped'
