@@ -19,7 +19,7 @@ from ..data.still_segments import Segment, frame_noise, rows_of, segments_datase
 from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..inference.noise import input_effect, input_slopes
 from ..inference.predict import Predictor
-from ..robot import Robot, RobotLike, load_robot
+from ..robot import RobotLike, load_robot
 from ..robot.estimates import TRACKER_NOISE_M
 from .columns import RawTable, marker_label, table_of
 from .imported import ImportedTable
@@ -82,8 +82,8 @@ def import_table(
     # parts of a file without any column in use are excluded
     used = [t for t in tables if not t.part or columns & t.columns.keys()]
     show('looking where the arm stood still', 1, 4)
-    follow_renumbered(used, chosen, robot.length)
-    measured = StillMeasurements(make_traces(used, chosen, robot.length), chosen, robot)
+    follow_renumbered(used, chosen)
+    measured = StillMeasurements(make_traces(used, chosen), chosen)
     name = tables[0].name
     places = [marker.arc_length for marker in chosen.recipe.markers or ()]
     if None in places or not places:
@@ -92,13 +92,13 @@ def import_table(
     else:  # the recipe gives their arc lengths
         arc_lengths = tuple(place for place in places if place is not None)
         order = MarkerOrder(tuple(range(len(places))), arc_lengths, AS_GIVEN)
-    raw, markers = _in_tracker_frame(measured, chosen, order, robot, name)
+    raw, markers = _in_tracker_frame(measured, chosen, order, name)
     show('laying the frame of the tracker', 2, 4)
     catalogue = load_catalogue(catalogue)
     up_assumed: list[str] = []
     if not is_up_given:
         predictor = Predictor(raw, robot, catalogue)
-        up, up_assumed = up_that_fits(raw, predictor, chosen.recipe.frame, recipe.up)
+        up, up_assumed = up_that_fits(predictor, chosen.recipe.frame, recipe.up)
         chosen.recipe = replace(chosen.recipe, up=up)
     placed = Placed(raw, chosen.recipe, catalogue)
     final, frame = placed.dataset, placed.frame
@@ -185,7 +185,7 @@ def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
 
 
 def _in_tracker_frame(
-    measured: StillMeasurements, chosen: Selection, order: MarkerOrder, robot: Robot, name: str
+    measured: StillMeasurements, chosen: Selection, order: MarkerOrder, name: str
 ) -> tuple[DataSet, tuple[MarkerColumns, ...]]:
     """Assemble the segments to a data set; positions stay in the tracker's frame."""
     known = chosen.recipe.markers or ()
@@ -207,7 +207,8 @@ def _in_tracker_frame(
         for one in measured.segments
     ]
     path = SEQUENCE if chosen.recipe.path == VISITS else chosen.recipe.path
-    dataset = segments_dataset(name, segments, robot, placed, input=chosen.kind, path=path)
+    kind, robot = chosen.kind, chosen.robot
+    dataset = segments_dataset(name, segments, robot, placed, input=kind, path=path)
     if chosen.recipe.path == VISITS:
         dataset = as_visits(dataset, segments, measured.begins)
     return dataset, markers

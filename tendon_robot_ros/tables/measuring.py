@@ -26,7 +26,6 @@ from ..data.still_segments import (
     still_stretches,
 )
 from ..data.tracker_faults import unseen_lines
-from ..robot import Robot
 from ..robot.estimates import INPUT_TOLERANCE, NOISE_FACTOR
 from .columns import UNUSUAL_FACTOR, marker_label
 from .recipe import Recipe, Selection
@@ -136,12 +135,12 @@ class StillMeasurements:
 
     """
 
-    def __init__(self, traces: Sequence[Traces], chosen: Selection, robot: Robot) -> None:
+    def __init__(self, traces: Sequence[Traces], chosen: Selection) -> None:
         recipe, kind, name = chosen.recipe, chosen.kind, traces[0].recording.name
         unit = 'N' if kind == 'tension' else 'm'
         still = recipe.still
         rule = Rule(still.speed or Rule.speed, still.duration or Rule.duration, still.change)
-        rule = rule.fill(robot, kind)
+        rule = rule.fill(chosen.robot, kind)
         self.delays = tuple(one.delay for one in traces if one.delay is not None)
         self.drifts = tuple(one.drift for one in traces if one.delay is not None)
         labels = [marker_label(marker.columns) for marker in recipe.markers or ()]
@@ -161,7 +160,7 @@ class StillMeasurements:
             rule = _still_rule(motions, traces, rule, recipe)
         self.rule = rule
         pairs = zip_longest(traces, motions)
-        pieces = [_piece(one, moved, rule, chosen, robot) for one, moved in pairs]
+        pieces = [_piece(one, moved, rule, chosen) for one, moved in pairs]
         segments = [one for piece in pieces for one in piece.segments]
         if not segments and sparse:
             raise DataSetError(name, sparse, SETTLED_ROWS)
@@ -292,9 +291,7 @@ def _still_rule(
     return rule
 
 
-def _piece(
-    traces: Traces, moved: ArmMotion | None, rule: Rule, chosen: Selection, robot: Robot
-) -> Piece:
+def _piece(traces: Traces, moved: ArmMotion | None, rule: Rule, chosen: Selection) -> Piece:
     """Return a recording with its still segments, or a segment for every row."""
     recording = traces.recording
     if moved is None:
@@ -315,7 +312,7 @@ def _piece(
         recording = replace(recording, inputs=recording.inputs - zero)
         segments = [replace(one, inputs=(one.inputs - zero).round(9)) for one in segments]
     if segments:
-        segments = plausible_inputs(recording.name, segments, robot, chosen.kind, rule)
+        segments = plausible_inputs(recording.name, segments, chosen.robot, chosen.kind, rule)
     return Piece(recording, moved, tuple(segments), (), traces.cut)
 
 

@@ -45,10 +45,8 @@ class TrackerFrame:
 
     Parameters
     ----------
-    dataset : DataSet
-        Positions in the tracker's frame.
     predictor : Predictor
-        Of the robot as described.
+        Of the robot as described; its data set has positions in the tracker's frame.
     choice : FrameChoice
         The method, or the result.
     up : str or None
@@ -79,10 +77,8 @@ class TrackerFrame:
 
     """
 
-    def __init__(
-        self, dataset: DataSet, predictor: Predictor, choice: FrameChoice, up: str | None
-    ) -> None:
-        markers = predictor.markers({})
+    def __init__(self, predictor: Predictor, choice: FrameChoice, up: str | None) -> None:
+        dataset, markers = predictor.dataset, predictor.markers({})
         if markers is None:
             raise InputError(
                 'the model finds no equilibrium for these inputs: check their unit, and the '
@@ -147,7 +143,7 @@ class TrackerFrame:
 
 
 def up_that_fits(
-    dataset: DataSet, predictor: Predictor, choice: FrameChoice, usual: str | None
+    predictor: Predictor, choice: FrameChoice, usual: str | None
 ) -> tuple[str | None, list[str]]:
     """
     Return the axis that points up, where only the file format suggests one, and assumptions.
@@ -158,10 +154,10 @@ def up_that_fits(
     gravity = predictor.robot.gravity
     if usual is None or gravity is None or not any(gravity) or choice.method or choice.rotation:
         return usual, []
-    frame = TrackerFrame(dataset, predictor, choice, usual)
+    frame = TrackerFrame(predictor, choice, usual)
     if not frame.is_contradicted:
         return usual, []
-    others = {up: TrackerFrame(dataset, predictor, choice, up) for up in UPS if up != usual}
+    others = {up: TrackerFrame(predictor, choice, up) for up in UPS if up != usual}
     best = min(others, key=lambda up: others[up].residual)
     if others[best].is_contradicted:
         return usual, []
@@ -309,7 +305,7 @@ class Placed:
         robot, choice, pairs = raw.robot, recipe.frame, recipe.leave_out
 
         def placed(dataset: DataSet) -> tuple[DataSet, TrackerFrame]:
-            frame = TrackerFrame(dataset, Predictor(dataset, robot, catalogue), choice, recipe.up)
+            frame = TrackerFrame(Predictor(dataset, robot, catalogue), choice, recipe.up)
             positions = dataset.positions @ frame.rotation.T + frame.shift
             return replace(dataset, positions=positions.round(9)), frame
 

@@ -122,11 +122,9 @@ class Traces:
     exchanged: tuple[str, ...] = ()  # which markers were put back, and when
 
 
-def make_traces(tables: Sequence[RawTable], chosen: Selection, length: float) -> list[Traces]:
+def make_traces(tables: Sequence[RawTable], chosen: Selection) -> list[Traces]:
     """
     Return one recording per table, or per pair of tables where markers have their own.
-
-    `length` [m] is that of the arm.
 
     Raises
     ------
@@ -156,22 +154,22 @@ def make_traces(tables: Sequence[RawTable], chosen: Selection, length: float) ->
             raise DataSetError(tables[0].name, problem, f'give one {what}, or one for each')
         clocks.append(known if len(known) > 1 else known * len(with_inputs))
     pairs = zip(with_inputs, with_markers, *clocks, strict=True)
-    return [_trace(a, b, recipe, delay, drift, length) for a, b, delay, drift in pairs]
+    return [_trace(a, b, chosen, delay, drift) for a, b, delay, drift in pairs]
 
 
 def _trace(
     input_table: RawTable,
     marker_table: RawTable,
-    recipe: Recipe,
+    chosen: Selection,
     delay: float | None,
     drift: float | None,
-    length: float,
 ) -> Traces:
+    recipe = chosen.recipe
     uses = (recipe.inputs or {}).values()
     inputs = np.column_stack(
         [input_table.numbers(use.column) * input_factor(use.unit, recipe.spool) for use in uses]
     )
-    positions, unseen = marker_places(marker_table, recipe, length)
+    positions, unseen = marker_places(marker_table, recipe, chosen.robot.length)
     pulled = [use.unit in UNITS['force'] or use.unit in UNITS['current'] for use in uses]
     empty = ~np.isfinite(inputs).any(axis=0) & pulled  # a wire may be slack all the time
     if empty.any():
@@ -256,7 +254,7 @@ def marker_places(
     return joined(centres, own), summed
 
 
-def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: float) -> None:
+def follow_renumbered(tables: Sequence[RawTable], chosen: Selection) -> None:
     """
     Join the columns of markers that the tracker renumbered, with a line for each.
 
@@ -273,6 +271,7 @@ def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: flo
     nameless = [c for c in chosen.nameless if all(table.holds(*c) for table in with_markers)]
     every = (*markers, *map(MarkerColumns, nameless))
     recipe = replace(chosen.recipe, markers=every)
+    length = chosen.robot.length
     places = np.concatenate([marker_places(t, recipe, length)[0] for t in with_markers])
     chains = [chain for chain in renumbered(places) if chain[0] < len(markers)]
     followed = []
