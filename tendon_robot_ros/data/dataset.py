@@ -21,15 +21,12 @@ from .arrays import (
     POSITION,
     QUATERNION,
     Marker,
-    Split,
     Vector,
-    Visits,
-    corners,
     place_markers,
     read_frame,
-    remembered,
     too_tense,
 )
+from .visits import Split, Visits, corners, remembered
 
 Known = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 

@@ -19,7 +19,7 @@ from ..common.errors import DataSetError, place, refusal
 from ..common.files import new_file, shared_file
 from ..common.words import listing
 from ..robot import Robot, RobotLike, load_robot, parse_robot
-from .arrays import PLAUSIBLE_FACTOR, Marker, default_markers, join_visits, too_tense
+from .arrays import PLAUSIBLE_FACTOR, Marker, default_markers, too_tense
 from .bag_reader import Recording, Topics, is_bag, read_bag, refuse_two_senders, with_markers
 from .bag_writer import DESCRIPTION, ROBOT
 from .dataset import EXPECTED, DataSet, HasDataSet, Part, as_dataset
@@ -35,6 +35,7 @@ from .tracker_faults import (
     unseen_lines,
     without_unseen,
 )
+from .visits import join_visits
 
 # [s] after which a tendon state tells no longer what the inputs are, because drivers publish many
 # a second; of slower ones three of their intervals

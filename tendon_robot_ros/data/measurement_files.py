@@ -10,19 +10,9 @@ from ..common.arrays import Bools, Floats, Ints
 from ..common.errors import DataSetError
 from ..common.words import listing
 from ..robot import Robot
-from .arrays import (
-    PLAUSIBLE_FACTOR,
-    POSITION,
-    QUATERNION,
-    STRAIGHT,
-    VALUES_MAX,
-    Split,
-    mean_inputs,
-    split_by_order,
-    split_by_origin,
-    too_tense,
-)
+from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, VALUES_MAX, mean_inputs, too_tense
 from .csv_file import NEEDED, CsvFile
+from .visits import STRAIGHT, Split, split_by_order, split_by_origin
 
 VISIT, ORIGIN = HISTORY = ('visit', 'previous')  # columns of the history of a posture
 

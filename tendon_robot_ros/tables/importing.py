@@ -14,8 +14,8 @@ from ..common.arrays import Floats
 from ..common.errors import DataSetError, Progress, listener, refusal
 from ..common.words import listed, listing, mm
 from ..data import DataSet, Marker
-from ..data.arrays import split_by_order
 from ..data.still_segments import Segment, frame_noise, rows_of, segments_dataset
+from ..data.visits import split_by_order
 from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..inference.noise import input_effect, input_slopes
 from ..inference.predict import Predictor
