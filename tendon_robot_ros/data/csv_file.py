@@ -142,17 +142,15 @@ class CsvFile:
         table = np.array([places.get(label, -1) for label in self.labels[key]], dtype=np.int64)
         return table[self.codes[key]]
 
-    def read(
-        self, names: Sequence[str], numbers: Sequence[str], remarks: Sequence[str] = ()
-    ) -> CsvFile:
+    def read(self, names: Sequence[str], remarks: Sequence[str] = ()) -> CsvFile:
         """
         Read the rows below the header, and return the file.
 
         Parameters
         ----------
-        names, numbers, remarks : sequence of str
-            Columns to read as names, as numbers, and as names that may be empty and repeat:
-            together all columns of the file.
+        names, remarks : sequence of str
+            Columns to read as names, and as names that may be empty and repeat; all others
+            hold numbers.
 
         Raises
         ------
@@ -165,8 +163,9 @@ class CsvFile:
         if not text:
             raise self.error(2, 'there is no row below the header', 'write one row per value')
         texts = (*names, *remarks)
+        numbers = [key for key in self.header if key not in texts]
         labels: dict[str, dict[str, int]] = {key: {} for key in texts}
-        parts: dict[str, list[Any]] = {key: [] for key in (*texts, *numbers)}
+        parts: dict[str, list[Any]] = {key: [] for key in self.header}
         dtype = np.dtype([(key, float if key in numbers else object) for key in self.header])
         row = 2
         for lines in batched(text.split('\n'), ROWS_AT_ONCE):

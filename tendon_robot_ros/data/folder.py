@@ -20,7 +20,7 @@ from ..common.yaml_reading import Reader, parse_yaml
 from ..robot import Robot, dump_robot, load_robot
 from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, Marker, default_markers
 from .dataset import INPUTS, PATHS, DataSet, HasDataSet, as_dataset
-from .measurement_files import KEYS, ORIGIN, VISIT, Commands, Shapes
+from .measurement_files import KEYS, ORIGIN, VISIT, Commands, read_shapes
 
 DESCRIPTION_KEYS = (
     *('robot', 'input', 'path', 'gravity', 'position_noise', 'tension_noise', 'accuracy'),
@@ -233,8 +233,8 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
             raise DataSetError(str(folder), problem, remedy) from None
         raise
     between = described['path'] != 'from_straight'
-    shapes = Shapes(folder / 'shapes.csv', robot, names, commands, between)
-    visible = np.isfinite(shapes.positions[..., 0]).any(axis=(0, 1))
+    shapes = read_shapes(folder / 'shapes.csv', robot, names, commands, between)
+    visible = np.isfinite(shapes['positions'][..., 0]).any(axis=(0, 1))
     if described['markers'] and not visible.all():
         problem = f'{names[int(visible.argmin())]!r} was never seen in shapes.csv'
         raise DataSetError(f'{path}: markers', problem, 'correct the name or remove the marker')
@@ -243,10 +243,8 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
         robot=robot,
         postures=commands.postures,
         inputs=commands.by_posture(),
-        trial_names=shapes.trials,
-        trial_inputs=commands.by_trial(shapes.trials),
-        positions=shapes.positions,
-        orientations=shapes.orientations,
+        trial_inputs=commands.by_trial(shapes['trial_names']),
+        **shapes,
         **described | {'markers': markers} | ({'path': 'sequence'} if visits else {}),
     ).without_unseen_markers()
     if not visits:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -52,8 +53,7 @@ class Commands(CsvFile):
         check_history(self, visits)
         check_drums(self, robot)
         names = ('posture', 'trial') if 'trial' in self.header else ('posture',)
-        numbers = [name for name in (*robot.inputs, *drums, VISIT) if name in self.header]
-        self.read(names, numbers, [ORIGIN] if ORIGIN in self.header else [])
+        self.read(names, [ORIGIN] if ORIGIN in self.header else [])
         self.values = wound(self, robot)  # (R, m) [N] or [m], NaN = slack
         _check(self, self.values, robot, kind)
         self.visit = visits_of(self)  # (R,) order of the visits; None: not in the file
@@ -210,11 +210,11 @@ KEYS = ('posture', 'trial', 'marker')
 Places = tuple[Ints, Ints, Bools, tuple[str, ...]]
 
 
-class Shapes:
+def read_shapes(
+    path: Path, robot: Robot, markers: tuple[str, ...], commands: Commands, sequence: bool
+) -> dict[str, Any]:
     """
-    The arrays of shapes.csv, checked, in the order of the postures of inputs.csv.
-
-    NaN where nothing was seen.
+    Read and check shapes.csv, in the order of the postures of inputs.csv.
 
     Parameters
     ----------
@@ -229,47 +229,41 @@ class Shapes:
     sequence : bool
         Every trial replays the postures in order: one may stand without a measurement.
 
+    Returns
+    -------
+    dict
+        The trials, positions and orientations of a `DataSet`, NaN where nothing was seen.
+
     Raises
     ------
     DataSetError
         With row and remedy.
 
     """
-
-    def __init__(
-        self,
-        path: Path,
-        robot: Robot,
-        markers: tuple[str, ...],
-        commands: Commands,
-        sequence: bool,
-    ) -> None:
-        required = (*KEYS, *POSITION)
-        missing = 'leave the cell empty where the marker was not seen'
-        file = CsvFile(path, required, (*required, *QUATERNION), missing)
-        turned = tuple(name for name in QUATERNION if name in file.header)
-        if turned and turned != QUATERNION:
-            problem = f'{", ".join(turned)} alone are no quaternion'
-            raise file.error(1, problem, f'write {", ".join(QUATERNION)}, or none of them')
-        file.read(KEYS, (*POSITION, *turned))
-        xyz = _positions(file, robot)
-        # (Q,)
-        self.trials = trials = sort_trials((*file.labels['trial'], *(commands.trials or ())))
-        posture = _known(file, 'posture', commands.postures, 'inputs.csv has no such posture')
-        marker = _known(file, 'marker', markers, 'dataset.yaml has no such marker')
-        trial = file.translate('trial', trials)
-        sizes = len(commands.postures), len(trials), len(markers)
-        if np.prod(sizes, dtype=float) > VALUES_MAX:
-            problem = '{} postures x {} trials x {} markers are too many'.format(*sizes)
-            raise DataSetError(str(path), problem, 'count the trials of every posture from 0')
-        visible = ~np.isnan(xyz[:, 0])
-        _check_trials(file, commands, (posture, trial, visible, trials), sequence)
-        self.positions = np.full((*sizes, 3), np.nan)  # (P, Q, J, 3) [m]
-        self.positions[posture, trial, marker] = xyz
-        self.orientations = None  # (P, Q, J, 4), unit quaternions
-        if turned:
-            self.orientations = np.full((*sizes, 4), np.nan)
-            self.orientations[posture, trial, marker] = _quaternions(file, visible)
+    required = (*KEYS, *POSITION)
+    missing = 'leave the cell empty where the marker was not seen'
+    file = CsvFile(path, required, (*required, *QUATERNION), missing)
+    turned = tuple(name for name in QUATERNION if name in file.header)
+    if turned and turned != QUATERNION:
+        problem = f'{", ".join(turned)} alone are no quaternion'
+        raise file.error(1, problem, f'write {", ".join(QUATERNION)}, or none of them')
+    file.read(KEYS)
+    xyz = _positions(file, robot)
+    trials = sort_trials((*file.labels['trial'], *(commands.trials or ())))
+    posture = _known(file, 'posture', commands.postures, 'inputs.csv has no such posture')
+    marker = _known(file, 'marker', markers, 'dataset.yaml has no such marker')
+    trial = file.translate('trial', trials)
+    sizes = len(commands.postures), len(trials), len(markers)
+    if np.prod(sizes, dtype=float) > VALUES_MAX:
+        problem = '{} postures x {} trials x {} markers are too many'.format(*sizes)
+        raise DataSetError(str(path), problem, 'count the trials of every posture from 0')
+    visible = ~np.isnan(xyz[:, 0])
+    _check_trials(file, commands, (posture, trial, visible, trials), sequence)
+    arrays = {'positions': xyz} | ({'orientations': _quaternions(file, visible)} if turned else {})
+    for key, rows in arrays.items():
+        arrays[key] = np.full((*sizes, rows.shape[1]), np.nan)
+        arrays[key][posture, trial, marker] = rows
+    return {'trial_names': trials, **arrays}
 
 
 def _known(file: CsvFile, key: str, known: tuple[str, ...], problem: str) -> Ints:

@@ -63,11 +63,10 @@ def read_path(path: str | Path, inputs: tuple[str, ...]) -> TipRows | TendonRows
     line = csv_text(path, NO_PATH).partition('\n')[0]
     if set(inputs) & {cell.strip(' "') for cell in line.split(',')}:
         columns = ('time', *inputs)
-        file = CsvFile(path, columns, columns, 'write a number', NO_PATH).read((), columns)
+        file = CsvFile(path, columns, columns, 'write a number', NO_PATH).read(())
         values = file.columns(inputs)
         return TendonRows(_times(file, values), values)
-    file = CsvFile(path, PLACE, ('time', *PLACE, *VIEW), missing, NO_PATH)
-    file.read((), file.header)
+    file = CsvFile(path, PLACE, ('time', *PLACE, *VIEW), missing, NO_PATH).read(())
     positions = file.columns(PLACE)
     times = _times(file, positions)
     directions = np.full((len(positions), 3), np.nan)
