@@ -368,12 +368,9 @@ class Transforms:
             far = np.linalg.norm(rows[:, 1:4] - moved, axis=1).max()
             along = np.clip(np.abs(rows[:, 4:] @ quaternion), 0.0, 1.0)
             if far > NOISE_FACTOR * TRACKER_NOISE_M or 2.0 * np.arccos(along.min()) > STEADY_RAD:
-                raise DataSetError(
-                    self._name,
-                    f'frame {child!r} moves in {parent!r}, by {1e3 * far:.3g} mm: markers cannot '
-                    'be given in it',
-                    'record them in a frame that is fixed to the base',
-                )
+                moves = f'frame {child!r} moves in {parent!r}, by {1e3 * far:.3g} mm'
+                remedy = 'record them in a frame that is fixed to the base'
+                raise DataSetError(self._name, f'{moves}: markers cannot be given in it', remedy)
             step = from_quaternion((quaternion / np.linalg.norm(quaternion)).tolist())
             if frame == parent:  # from either end
                 step, moved = step.T, -step.T @ moved
@@ -418,14 +415,11 @@ def with_markers(recording: Recording, topics: Topics, names: Sequence[str]) -> 
     frames = sorted({child for _, child in transforms.edges})
     lacking = [frame for frame in chosen.values() if frame not in frames]
     if lacking:
-        shown = [*stamped, *frames]
-        raise DataSetError(
-            bag,
-            f'topic /{topics.shape.lstrip("/")} is not in it, and no topic or frame of /tf is '
-            f'called {listing(lacking)}',
-            f'say which is which marker, --marker {next(iter(chosen))}=NAME for each; there: '
-            f'{listing(shown)}',
-        )
+        none = f'no topic or frame of /tf is called {listing(lacking)}'
+        problem = f'topic /{topics.shape.lstrip("/")} is not in it, and {none}'
+        option, known = f'--marker {next(iter(chosen))}=NAME', listing([*stamped, *frames])
+        remedy = f'say which is which marker, {option} for each; there: {known}'
+        raise DataSetError(bag, problem, remedy)
     placed = [transforms.track(frame) for frame in chosen.values()]
     poses = {parent: transforms.to_base(parent) for parent, _ in placed}
     if None in poses.values() and len(poses) > 1:

@@ -109,12 +109,10 @@ def import_bag(
     expected = listed or default_markers(robot)
     recording = with_markers(recording, topics, [one.name for one in expected])
     if not in_tracker_frame and not recording.in_base:
-        raise DataSetError(
-            recording.name,
-            f'markers are in the frame {recording.frame!r}, and no transform in it says where the '
-            'base is',
-            'take it in with `import bag`, which finds where it lies (--frame base: the base)',
-        )
+        unplaced = 'no transform in it says where the base is'
+        problem = f'markers are in the frame {recording.frame!r}, and {unplaced}'
+        remedy = 'take it in with `import bag`, which finds where it lies (--frame base: the base)'
+        raise DataSetError(recording.name, problem, remedy)
     recording, renumbered_lines = _renumbered(recording, len(expected))
     markers = _markers(recording, robot, listed)
     recording = replace(recording, inputs=_inputs(recording, robot, kind))

@@ -172,11 +172,9 @@ def origins(file: CsvFile) -> Ints | None:
     postures, names = file.labels['posture'], file.labels[ORIGIN]
     origin = file.translate(ORIGIN, postures)
     unknown = (origin < 0) & np.array([name != '' for name in names])[file.codes[ORIGIN]]
-    file.refuse(
-        unknown,
-        f'previous is {file.label(int(unknown.argmax()), ORIGIN)!r}, which no row describes',
-        f'use one of {listing(postures)}, or leave it empty: from the straight arm',
-    )
+    problem = f'previous is {file.label(int(unknown.argmax()), ORIGIN)!r}, which no row describes'
+    remedy = f'use one of {listing(postures)}, or leave it empty: from the straight arm'
+    file.refuse(unknown, problem, remedy)
     return np.where(origin < 0, STRAIGHT, origin)
 
 
@@ -188,18 +186,13 @@ def _check(file: CsvFile, values: Floats, robot: Robot, kind: str) -> None:
             raise file.error(int(row) + 2, text, remedy)
 
     if kind == 'displacement':
-        refuse(
-            np.abs(values) > robot.length,
-            f'{{name}} is pulled by {{value:g}} m, but the robot is only {robot.length:g} m long',
-            'write metres (is it in mm?)',
-        )
+        long = f'the robot is only {robot.length:g} m long'
+        problem = f'{{name}} is pulled by {{value:g}} m, but {long}'
+        refuse(np.abs(values) > robot.length, problem, 'write metres (is it in mm?)')
         return
     limit = robot.tension_limits[1]
-    refuse(
-        np.isnan(values),
-        '{name} is empty',
-        'write 0 for a slack tendon (an empty cell means slack only with input: displacement)',
-    )
+    remedy = 'write 0 for a slack tendon (an empty cell means slack only with input: displacement)'
+    refuse(np.isnan(values), '{name} is empty', remedy)
     refuse(values < 0.0, '{name} is {value:g} N', 'a tendon cannot push: write 0 or more')
     beyond = values > PLAUSIBLE_FACTOR * limit
     if beyond.any():
@@ -278,11 +271,8 @@ def _positions(file: CsvFile, robot: Robot) -> Floats:
     xyz = file.all_or_none(POSITION, 'only part of x, y, z is there', remedy)
     beyond = (np.abs(xyz) > PLAUSIBLE_FACTOR * robot.length).any(axis=1)
     far = np.abs(xyz[int(beyond.argmax())]).max()
-    file.refuse(
-        beyond,
-        f'the marker is {far:g} m away, but the robot is only {robot.length:g} m long',
-        'write metres in the base frame (are these mm?)',
-    )
+    problem = f'the marker is {far:g} m away, but the robot is only {robot.length:g} m long'
+    file.refuse(beyond, problem, 'write metres in the base frame (are these mm?)')
     return xyz
 
 
@@ -311,35 +301,23 @@ def _check_trials(file: CsvFile, commands: Commands, places: Places, sequence: b
         trial_rows = commands.translate('trial', trials)
         commanded = np.zeros_like(measured)
         commanded[rows, trial_rows] = True
-        refuse(
-            ~commanded[posture, trial],
-            'inputs.csv has no row for this trial',
-            'add its inputs there or remove its rows here',
-        )
+        remedy = 'add its inputs there or remove its rows here'
+        refuse(~commanded[posture, trial], 'inputs.csv has no row for this trial', remedy)
         is_measured = measured[rows, trial_rows]
     if not sequence:
-        row = int(is_measured.argmin())
-        commands.refuse(
-            ~is_measured,
-            f'{commands.name(row)}: {file.path.name} has no such measurement',
-            'add it there or remove this row',
-        )
+        name = commands.name(int(is_measured.argmin()))
+        problem = f'{name}: {file.path.name} has no such measurement'
+        commands.refuse(~is_measured, problem, 'add it there or remove this row')
 
 
 def _quaternions(file: CsvFile, visible: Bools) -> Floats:
     """Return unit quaternions, (n, 4)."""
     remedy = 'write qx, qy, qz and qw, or leave all four empty'
     q = file.all_or_none(QUATERNION, 'only part of the quaternion is there', remedy)
-    file.refuse(
-        np.isfinite(q[:, 0]) & ~visible,
-        'an orientation without a position',
-        'write x, y, z too, or leave the quaternion empty',
-    )
+    remedy = 'write x, y, z too, or leave the quaternion empty'
+    file.refuse(np.isfinite(q[:, 0]) & ~visible, 'an orientation without a position', remedy)
     norm = np.linalg.norm(q, axis=1)
     file.refuse(norm < 1e-6, 'the quaternion is zero', 'leave it empty where it is unknown')
-    file.refuse(
-        np.abs(norm - 1.0) > 0.05,
-        'the quaternion is not of length 1',
-        'write qx, qy, qz, qw of a unit quaternion, in this order',
-    )
+    remedy = 'write qx, qy, qz, qw of a unit quaternion, in this order'
+    file.refuse(np.abs(norm - 1.0) > 0.05, 'the quaternion is not of length 1', remedy)
     return q / norm[:, None]

@@ -240,10 +240,8 @@ def exchange_lines(
     for pair in dict.fromkeys((i, j) for _, i, j in exchanges):
         frames = [frame for frame, *two in exchanges if tuple(two) == pair]
         more = f' and {len(frames) - 1} times more' if len(frames) > 1 else ''
-        lines.append(
-            f'{names[pair[0]]} and {names[pair[1]]} exchange their names at '
-            f'{times[frames[0]]:.2f} s{more}: put back to what they are before'
-        )
+        when = f'at {times[frames[0]]:.2f} s{more}: put back to what they are before'
+        lines.append(f'{names[pair[0]]} and {names[pair[1]]} exchange their names {when}')
     return lines
 
 

@@ -235,12 +235,10 @@ def _qualisys_names(shown: str, keys: Mapping[str, Row], width: int) -> Row:
     while before > 2:  # a tab at the end of every row
         before -= 1
     if not markers or before < 0:
-        raise DataSetError(
-            shown,
-            f'is an export of Qualisys whose MARKER_NAMES ({len(markers)}) do not fit to its '
-            f'{width} columns',
-            'export 3D data from QTM as TSV with the TSV header, or as C3D',
-        )
+        named = f'MARKER_NAMES ({len(markers)})'
+        problem = f'is an export of Qualisys whose {named} do not fit to its {width} columns'
+        remedy = 'export 3D data from QTM as TSV with the TSV header, or as C3D'
+        raise DataSetError(shown, problem, remedy)
     places = [f'{marker} {axis}' for marker in markers for axis in 'XYZ']
     return [*('Frame', 'Time')[:before], *places]
 

@@ -172,9 +172,8 @@ class StillMeasurements:
         if rest is None:
             rest = _guess_rest(segments, self.same) if recipe.path == FROM_STRAIGHT else 0.0
             if rest:
-                self.assumed.append(
-                    f'where all inputs are below {digits(rest, 3)} {unit} the arm rests'
-                )
+                below = f'{digits(rest, 3)} {unit}'
+                self.assumed.append(f'where all inputs are below {below} the arm rests')
         self.rest = rest
         self.pieces = [_without_rest(piece, rest, i == 0) for i, piece in enumerate(pieces)]
         self.dropped += _dropped_lines(self.pieces, labels)
@@ -402,9 +401,7 @@ def _dropped_lines(pieces: Sequence[Piece], labels: Sequence[str]) -> list[str]:
     total = sum(len(one) for one in positions)
     if lost.any():
         worst = int(lost.argmax())
-        lines.append(
-            f'{100.0 * lost.sum() / (total * len(lost)):.2g} % of the marker readings are missing '
-            f'(most of {labels[worst]}: '
-            f'{100.0 * lost[worst] / total:.2g} %)'
-        )
+        share = f'{100.0 * lost.sum() / (total * len(lost)):.2g} %'
+        most = f'{labels[worst]}: {100.0 * lost[worst] / total:.2g} %'
+        lines.append(f'{share} of the marker readings are missing (most of {most})')
     return lines

@@ -401,9 +401,8 @@ class Selection:
             turned = bool(kinds & {'angle', 'counts'})
             self.recipe = replace(self.recipe, zero=turned)
             if turned:
-                self.assumed.append(
-                    'motors count from where they are when the arm first stands still'
-                )
+                first = 'where they are when the arm first stands still'
+                self.assumed.append(f'motors count from {first}')
         self.warnings = self._units_contradicted()
         taken = set(self.reasons)
         taken |= {c for t in tables for triple in triples_of(t) for c in triple.columns}
@@ -508,12 +507,11 @@ class Selection:
         if missing:
             guesses = (guess_inputs(names_of(t), missing) for t in tables)
             if (guess := next(filter(None, guesses), None)) is None:
-                raise DataSetError(
-                    tables[0].name,
-                    f'no columns for the inputs {listing(missing)} are recognised among '
-                    f'{listing(n.column for t in tables for n in names_of(t) if not n.axis)}',
-                    'name each by --column INPUT=COLUMN',
+                known = listing(n.column for t in tables for n in names_of(t) if not n.axis)
+                problem = (
+                    f'no columns for the inputs {listing(missing)} are recognised among {known}'
                 )
+                raise DataSetError(tables[0].name, problem, 'name each by --column INPUT=COLUMN')
             columns, reason = [one.column for one in guess[0]], guess[1]
             inputs |= {name: ColumnUse(c, '') for name, c in zip(missing, columns, strict=True)}
             self.reasons |= dict.fromkeys(columns, reason)
@@ -523,12 +521,10 @@ class Selection:
             inputs[name] = replace(use, unit=recipe.input_unit or use.unit or own)
         lacking = [use.column for use in inputs.values() if not use.unit]
         if lacking:
-            raise DataSetError(
-                tables[0].name,
-                f'nothing says the unit of {listing(lacking)}',
-                'write it into the header, as in "T1 [N]", or say --unit inputs=N (mN, g, kgf, '
-                'lbf, mm, deg, ticks, mA ...)',
-            )
+            units = 'mN, g, kgf, lbf, mm, deg, ticks, mA ...'
+            remedy = f'write it into the header, as in "T1 [N]", or say --unit inputs=N ({units})'
+            problem = f'nothing says the unit of {listing(lacking)}'
+            raise DataSetError(tables[0].name, problem, remedy)
         self.recipe = replace(recipe, inputs={name: inputs[name] for name in robot.inputs})
 
     def _choose_markers(self) -> Points:

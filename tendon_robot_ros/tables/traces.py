@@ -98,9 +98,8 @@ def input_factor(unit_text: str, spool: WireSpool) -> float:
         return unit.factor * spool.radius
     if unit.kind == 'current':
         if spool.torque_constant is None:
-            raise InputError(
-                f'inputs are in {unit.text}: say --torque-constant, N·m per ampere at the spool'
-            )
+            option = '--torque-constant, N·m per ampere at the spool'
+            raise InputError(f'inputs are in {unit.text}: say {option}')
         return unit.factor * spool.torque_constant / spool.radius
     if spool.counts_per_turn is None:
         raise InputError(f'inputs are in {unit.text}: say --counts-per-turn, 4096 for example')
@@ -182,22 +181,20 @@ def _trace(
     clocks, drift = '', drift or 0.0
     if not recipe.time:
         if len(input_table) != len(marker_table):
-            raise DataSetError(
-                marker_table.name,
-                f'has {len(marker_table):,} rows, and {input_table.name} with the inputs '
-                f'{len(input_table):,}: which belong together?',
-                'give both a row for each measurement, or name their columns of times',
-            )
+            others = f'{input_table.name} with the inputs {len(input_table):,}'
+            problem = f'has {len(marker_table):,} rows, and {others}: which belong together?'
+            remedy = 'give both a row for each measurement, or name their columns of times'
+            raise DataSetError(marker_table.name, problem, remedy)
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
         moved = np.linalg.norm(np.nanmax(positions, axis=0) - np.nanmin(positions, axis=0), axis=1)
         is_recording = recipe.time is None and len(positions) > ROWS_MAX
         if is_recording and np.nanmedian(steps) < FRAME_STEP_FRACTION * moved.max():
-            raise DataSetError(
-                marker_table.name,
-                f'has no column of times, and its {len(positions):,} rows follow each other like '
-                'the frames of a recording',
-                'say --column time=COLUMN, or leave one row per measurement',
+            follow = (
+                f'its {len(positions):,} rows follow each other like the frames of a recording'
             )
+            problem = f'has no column of times, and {follow}'
+            remedy = 'say --column time=COLUMN, or leave one row per measurement'
+            raise DataSetError(marker_table.name, problem, remedy)
         times = state_times = np.arange(len(input_table), dtype=float)
     else:
         state_times, times = _times(input_table, recipe), _times(marker_table, recipe)
