@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import yaml
 
 from ..common import files
 from ..common.errors import DataSetError, TendonRobotError, place, short
 from ..common.files import TABLE_ENDINGS, new_folder, refuse_other_files
 from ..common.words import PROGRAM, STANDARD_GRAVITY
-from ..common.yaml_reading import Reader, parse_yaml
+from ..common.yaml_reading import Reader, dump_yaml, parse_yaml
 from ..robot import Robot, dump_robot, load_robot
 from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, Marker, default_markers
 from .dataset import INPUTS, PATHS, DataSet, HasDataSet, as_dataset
@@ -185,10 +184,7 @@ def dump_description(dataset: DataSet) -> str:
             | ({'offset': list(marker.offset)} if any(marker.offset) else {})
             for marker in dataset.markers
         ]
-    content = {key: value for key, value in content.items() if value is not None}
-    return str(
-        yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    )
+    return dump_yaml({key: value for key, value in content.items() if value is not None})
 
 
 def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:

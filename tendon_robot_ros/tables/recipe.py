@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_origin, get_type_hints
 
 import numpy as np
-import yaml
 
 from ..common.errors import DataSetError, InputError, refusal, short
 from ..common.words import TYPED_LENGTHS, UNITS, Unit, digits, find_unit, listing
+from ..common.yaml_reading import dump_yaml
 from ..data.arrays import Vector
 from ..data.dataset import PATHS
 from ..data.folder import DatasetFields, read_text
@@ -330,9 +330,7 @@ def dump_recipe(recipe: Recipe, folder: Path) -> str:
     )
     keys['leave_out'] = plain(recipe.leave_out or ())  # none is a choice, too
     keys |= {'time': {}} if recipe.time == {} else {}
-    return HEAD + str(
-        yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    )
+    return HEAD + dump_yaml(keys)
 
 
 def plain(value: Any) -> Any:
