@@ -239,7 +239,5 @@ def too_tense(name: str, tension: float, limit: float) -> tuple[str, str]:
         if tension * UNITS['force'][unit] <= limit
     ]
     unit = f' ({listed(read, "or")})' if read else ''
-    return (
-        f'{name} is {tension:g} N, but tension_limits end at {limit:g} N',
-        f'raise tension_limits of the robot description to what was applied, or give N{unit}',
-    )
+    remedy = f'raise tension_limits of the robot description to what was applied, or give N{unit}'
+    return f'{name} is {tension:g} N, but tension_limits end at {limit:g} N', remedy

@@ -50,12 +50,12 @@ class Recording:
 
     name: str
     state_times: Floats  # (T,) [s]
-    states: list[Any]  # (T,) the JointState messages
     tracks: tuple[Track, ...]  # one of all markers, or one per marker; empty: see `with_markers`
-    marker_names: tuple[str, ...]  # of tracks of one marker each; empty for a PoseArray
-    labels: list[tuple[float, str]]  # (time [s], text)
-    description: str | None  # text of dataset.yaml
-    robot: str | None  # text of robot.yaml
+    states: Sequence[Any] = ()  # (T,) the JointState messages
+    marker_names: tuple[str, ...] = ()  # of tracks of one marker each; empty for a PoseArray
+    labels: Sequence[tuple[float, str]] = ()  # (time [s], text)
+    description: str | None = None  # text of dataset.yaml
+    robot: str | None = None  # text of robot.yaml
     frame: str = ''  # in which the markers are
     start: int = 0  # [ns] when it began
     # (T, m) [N] or [m] at `state_times`, once it is known which of them are those of the robot
@@ -161,13 +161,10 @@ def opened(path: str | Path) -> Iterator[Any]:
     stored = f'name a rosbag2 folder, or a file {" or ".join(STORED)}'
     bag, no_bag = path.suffix == '.bag', not (path / 'metadata.yaml').is_file()
     is_set = (path / 'dataset.yaml').is_file()
+    ros_1 = 'is a folder, and called as a file of ROS 1'
     for wrong, problem, remedy in (
         (not path.exists(), 'is not there', 'name a rosbag2 folder or an .mcap file'),
-        (
-            bag and path.is_dir(),
-            'is a folder, and called as a file of ROS 1',
-            'rename it, without .bag',
-        ),
+        (bag and path.is_dir(), ros_1, 'rename it, without .bag'),
         (bag, 'is a ROS 1 bag', convert),
         (path.is_dir() and no_bag and is_set, 'is a data set, and no recording', compare),
         (path.is_dir() and no_bag, 'is a folder without metadata.yaml, and no recording', name),
@@ -526,11 +523,8 @@ def alternating(times: Floats, values: Floats) -> tuple[float, float, float] | N
     flips = (above[:, 1:] != above[:, :-1]).sum(axis=1)  # (count, n)
     within = np.ptp(np.where(np.isfinite(groups), groups, order[:, :1]), axis=1) - gap[:, 0]
     many = above.sum(axis=1)
-    mixed = (
-        (flips >= GROUP // 3)  # a step has one
-        & (gap[:, 0] > within)
-        & (gap[:, 0] > APART_FRACTION * spread)
-    )
+    mixed = (flips >= GROUP // 3) & (gap[:, 0] > within)  # a step flips once
+    mixed &= gap[:, 0] > APART_FRACTION * spread
     few = GROUP // 4  # one or two are failed readings
     mixed &= (many >= few) & (many <= GROUP - few) & (spread > 0.0)
     chance = CHANCE * count

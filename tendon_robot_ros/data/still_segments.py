@@ -256,8 +256,8 @@ def find_segments(
             one = _average(recording, *longest)
         elif sequence:
             one = _average(recording, begin, end - 1e-6)  # only its inputs are known
-            nothing = np.full_like(one.positions, np.nan), np.full_like(one.orientations, np.nan)
-            one = replace(one, positions=nothing[0], orientations=nothing[1])
+            positions, orientations = np.nan * one.positions, np.nan * one.orientations
+            one = replace(one, positions=positions, orientations=orientations)
         else:
             excluded.append(f'posture {posture}, trial {trial}: the arm did not stand still')
             continue

@@ -219,9 +219,7 @@ def _trace(
         positions, exchanges = put_back(positions)
     turned = np.broadcast_to(np.nan, (*positions.shape[:2], 4))
     track = Track(times, positions, turned)
-    recording = Recording(
-        marker_table.name, state_times, [], (track,), (), [], None, None, inputs=inputs
-    )
+    recording = Recording(marker_table.name, state_times, (track,), inputs=inputs)
     labels = [marker_label(marker.columns) for marker in recipe.markers or ()]
     exchange_notes = tuple(exchange_lines(exchanges, times, labels))
     return Traces(recording, unseen, cut, delay, drift, clocks, exchange_notes)
