@@ -142,14 +142,8 @@ def import_bag(
         raise DataSetError(recording.name, problem, remedy)
     segments = plausible_inputs(recording.name, segments, robot, kind, rule)
     dataset = segments_dataset(recording.name, segments, robot, markers, **described)
-    return Imported(
-        dataset,
-        tuple(segments),
-        speeds,
-        recording,
-        rule,
-        (*renumbered_lines, *exchanged, *unseen, *unheard, *excluded),
-    )
+    left_out = (*renumbered_lines, *exchanged, *unseen, *unheard, *excluded)
+    return Imported(dataset, tuple(segments), speeds, recording, rule, left_out)
 
 
 def _renumbered(recording: Recording, count: int) -> tuple[Recording, list[str]]:
@@ -253,9 +247,8 @@ def _inputs(recording: Recording, robot: Robot, kind: str) -> Floats:
     listed = {name for state in recording.states for name in state.name}
     for name, column in zip(robot.inputs, inputs.T, strict=True):
         if name not in listed:
-            problem = (
-                f'the tendon states do not name {name!r}; they name {listing(sorted(listed))}'
-            )
+            others = listing(sorted(listed))
+            problem = f'the tendon states do not name {name!r}; they name {others}'
             remedy = 'use the robot description of the robot that was recorded'
             raise DataSetError(recording.name, problem, remedy)
         if kind == 'tension' and not np.isfinite(column).any():

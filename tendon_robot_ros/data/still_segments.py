@@ -279,16 +279,10 @@ def _average(recording: Recording, begin: float, end: float) -> Segment:
         noise.append(_noise(frames))
     first_state, end_state = np.searchsorted(recording.state_times, [begin - 1e-9, end + 1e-9])
     near = slice(max(int(first_state) - 1, 0), max(int(end_state), 1))  # and the last state before
-    return Segment(
-        begin,
-        end,
-        held_means(recording.state_times[near], recording.inputs[near], first, last)[0].round(
-            DIGITS
-        ),
-        np.concatenate(positions).round(DIGITS),
-        np.concatenate(orientations),
-        float(np.sqrt(np.mean(np.square(noise)))),
-    )
+    (inputs,) = held_means(recording.state_times[near], recording.inputs[near], first, last)
+    places, turned = np.concatenate(positions).round(DIGITS), np.concatenate(orientations)
+    rms = float(np.sqrt(np.mean(np.square(noise))))
+    return Segment(begin, end, inputs.round(DIGITS), places, turned, rms)
 
 
 def _noise(positions: Floats) -> float:
@@ -351,11 +345,7 @@ def frame_noise(segments: Sequence[Segment]) -> float | None:
 
 
 def segments_dataset(
-    bag: str,
-    segments: Sequence[Segment],
-    robot: Robot,
-    markers: tuple[Marker, ...],
-    **values: Any,
+    bag: str, segments: Sequence[Segment], robot: Robot, markers: tuple[Marker, ...], **values: Any
 ) -> DataSet:
     """
     Return the data set of named segments; without trials, the noise is that of the frames.
@@ -379,7 +369,7 @@ def segments_dataset(
         named = f'posture {segments[twice].posture!r}, trial {segments[twice].trial!r}'
         remedy = 'record it again with labels that differ'
         raise DataSetError(bag, f'{named} is labelled twice', remedy)
-    arrays: dict[str, Any] = {}
+    arrays: dict[str, Any] = {'trial_names': trials}
     for key in ('inputs', *READINGS):
         rows = np.array([getattr(one, key) for one in segments])
         arrays[key] = np.full((*size, *rows.shape[1:]), np.nan)
@@ -391,13 +381,4 @@ def segments_dataset(
         del arrays['orientations']
     if values.get('position_noise') is None and len(trials) == 1:
         values['position_noise'] = frame_noise(segments)
-    return DataSet(
-        name=bag,
-        robot=robot,
-        markers=markers,
-        postures=postures,
-        trial_names=trials,
-        inputs=mean.round(DIGITS),
-        **arrays,
-        **values,
-    )
+    return DataSet(bag, robot, markers, postures, mean.round(DIGITS), **arrays, **values)

@@ -138,11 +138,7 @@ class Split:
 
 
 def split_by_order(
-    names: Sequence[str],
-    commands: Ints,
-    trials: Ints,
-    measured: Bools,
-    fresh: Bools | None = None,
+    names: Sequence[str], commands: Ints, trials: Ints, measured: Bools, fresh: Bools | None = None
 ) -> Split:
     """
     Split commands (V,) that followed each other.
