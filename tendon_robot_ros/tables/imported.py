@@ -150,11 +150,8 @@ class ImportedTable(TextResult):
 
     def text(self) -> str:
         """List the columns in use, exclusions, assumptions and the tracker's frame."""
-        lines = [
-            f'{self.dataset.robot.name} from {self.source}',
-            columns_table(self.recipe, self.taken),
-            '',
-        ]
+        table = columns_table(self.recipe, self.taken)
+        lines = [f'{self.dataset.robot.name} from {self.source}', table, '']
         lines += labelled_lines('taken', [measurement_line(self.dataset, self.measured)])
         lines += labelled_lines('dropped', self.dropped)
         lines += labelled_lines('assumed', self.assumed)
@@ -178,9 +175,8 @@ class ImportedTable(TextResult):
                 axes.broken_barh(spans, (0.0, 1.0), transform=across, **style)
 
     def _draw_inputs(self, axes: Axes) -> None:
-        unit, scale = (
-            ('tension [N]', 1.0) if self.dataset.input == 'tension' else ('wire pull [mm]', 1e3)
-        )
+        is_tension = self.dataset.input == 'tension'
+        unit, scale = ('tension [N]', 1.0) if is_tension else ('wire pull [mm]', 1e3)
         for begin, piece in self._pieces():
             part = _thinned(axes, piece.recording.state_times)
             axes.set_prop_cycle(color=COLOURS)

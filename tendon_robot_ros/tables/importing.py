@@ -107,6 +107,7 @@ def import_table(
     predicted = predictor.markers({})
     assert predicted is not None  # this robot had equilibria in these postures above
     final, predicted = _without_empty(final, predicted)
+    sizes = [f'{t.name} ({len(t):,} rows of {len(t.columns)} columns)' for t in tables]
     return ImportedTable(
         dataset=final,
         recipe=_written_out(chosen.recipe, tables, markers, measured, placed),
@@ -114,9 +115,7 @@ def import_table(
         measured=measured,
         order=order,
         frame=frame,
-        source=', '.join(
-            f'{t.name} ({len(t):,} rows of {len(t.columns)} columns)' for t in tables
-        ),
+        source=', '.join(sizes),
         predicted=predicted,
         dropped=(*_columns_dropped(chosen, tables), *measured.dropped, *placed.dropped),
         assumed=(
@@ -189,15 +188,10 @@ def _in_tracker_frame(
 ) -> tuple[DataSet, tuple[MarkerColumns, ...]]:
     """Assemble the segments to a data set; positions stay in the tracker's frame."""
     known = chosen.recipe.markers or ()
-    markers = tuple(
-        replace(
-            known[j],
-            name=known[j].name or str(i + 1),
-            arc_length=arc_length,
-            offset=chosen.recipe.offset or known[j].offset,
-        )
-        for i, (j, arc_length) in enumerate(zip(order.members, order.arc_lengths, strict=True))
-    )
+    markers = []
+    for i, (j, arc_length) in enumerate(zip(order.members, order.arc_lengths, strict=True)):
+        label, offset = known[j].name or str(i + 1), chosen.recipe.offset or known[j].offset
+        markers.append(replace(known[j], name=label, arc_length=arc_length, offset=offset))
     placed = tuple(
         Marker(m.name or '', m.arc_length or 0.0, m.offset or (0.0, 0.0, 0.0)) for m in markers
     )
@@ -211,7 +205,7 @@ def _in_tracker_frame(
     dataset = segments_dataset(name, segments, robot, placed, input=kind, path=path)
     if chosen.recipe.path == VISITS:
         dataset = as_visits(dataset, segments, measured.begins)
-    return dataset, markers
+    return dataset, tuple(markers)
 
 
 def _columns_dropped(chosen: Selection, tables: Sequence[RawTable]) -> list[str]:

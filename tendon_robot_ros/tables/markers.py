@@ -90,12 +90,10 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
     places = [t for t in triples.values() if not t.quantity and t.kind != DERIVED]
     others = [t for t in triples.values() if t.quantity or t.kind == DERIVED]
     if not places:
-        raise DataSetError(
-            tables[0].name,
-            'no columns of a marker are recognised'
-            + (f': {listed(_by_quantity(others))} are no measured places' if others else ''),
-            'name them alike but for the axis, such as tip_x, tip_y, tip_z',
-        )
+        unfit = f': {listed(_by_quantity(others))} are no measured places' if others else ''
+        problem = f'no columns of a marker are recognised{unfit}'
+        remedy = 'name them alike but for the axis, such as tip_x, tip_y, tip_z'
+        raise DataSetError(tables[0].name, problem, remedy)
     nameless = [t for t in places if t.columns[0].startswith('*') or NAMELESS & set(t.name)]
     named = [t for t in places if t not in nameless]
     if not named:
@@ -354,12 +352,11 @@ def order_markers(
         kept = tuple(members[len(off) :])
         far, span = apart[kept[0], kept[-1]], known[-1] - known[0]
         if abs(far - span) > max(cell, 2.0 * DISTANCE_TOLERANCE * span):
-            raise DataSetError(
-                name,
-                f'the first and the last marker are {1e3 * far:.4g} mm apart where the arm is '
-                f'straightest, but {1e3 * span:.4g} mm by the places that are given',
-                'give the distance of every marker from the base along the arm, in mm',
-            )
+            seen = f'{1e3 * far:.4g} mm apart where the arm is straightest'
+            told = f'{1e3 * span:.4g} mm by the places that are given'
+            problem = f'the first and the last marker are {seen}, but {told}'
+            remedy = 'give the distance of every marker from the base along the arm, in mm'
+            raise DataSetError(name, problem, remedy)
         return MarkerOrder(kept, known, AS_GIVEN, tuple(off), twice, unseen)
     on_arm = below_tip > -0.5 * cell
     kept = tuple(j for j, one in zip(members, on_arm, strict=True) if one)
@@ -372,11 +369,9 @@ def order_markers(
 
 def _no_arm(name: str, far: float, robot: Robot) -> DataSetError:
     """Return the error of markers that cannot be those of the arm: up to `far` [m] apart."""
-    return DataSetError(
-        name,
-        f'markers are up to {1e3 * far:.4g} mm apart, the arm is {1e3 * robot.length:.4g} mm long',
-        'check the unit (--unit positions=...), and cells and cell_length of the robot',
-    )
+    long = f'the arm is {1e3 * robot.length:.4g} mm long'
+    remedy = 'check the unit (--unit positions=...), and cells and cell_length of the robot'
+    return DataSetError(name, f'markers are up to {1e3 * far:.4g} mm apart, {long}', remedy)
 
 
 def places_contradicted(dataset: DataSet) -> list[str]:

@@ -227,10 +227,8 @@ def _too_far_apart(traces: Sequence[Traces], rule: Rule) -> str:
     apart = float(np.median(intervals)) if len(intervals) else 0.0
     if apart <= rule.duration / 4:
         return ''
-    return (
-        f'the rows are {apart:.2g} s apart, too far to show that the arm stood still for '
-        f'{rule.duration:g} s'
-    )
+    still = f'the arm stood still for {rule.duration:g} s'
+    return f'the rows are {apart:.2g} s apart, too far to show that {still}'
 
 
 SETTLED_ROWS = 'if each row was taken after the arm had settled, say --column time=none'
@@ -279,9 +277,8 @@ def _still_rule(
     changes = np.concatenate([m.change[np.isfinite(m.change)] for m in motions])
     if recipe.still.speed is None and len(speeds):
         quiet = NOISE_FACTOR * float(np.quantile(speeds, QUIET_FRACTION))
-        rule = replace(
-            rule, speed=float(np.clip(round(quiet, 5), Rule.speed, UNUSUAL_FACTOR * Rule.speed))
-        )
+        speed = np.clip(round(quiet, 5), Rule.speed, UNUSUAL_FACTOR * Rule.speed)
+        rule = replace(rule, speed=float(speed))
     if recipe.still.change is None and len(changes):
         size = max(float(np.nanquantile(np.abs(one.recording.inputs), 0.995)) for one in traces)
         quiet = NOISE_FACTOR * float(np.quantile(changes, QUIET_FRACTION))
@@ -296,12 +293,9 @@ def _piece(traces: Traces, moved: ArmMotion | None, rule: Rule, chosen: Selectio
     if moved is None:
         positions = recording.tracks[0].positions
         turned = np.full((positions.shape[1], 4), np.nan)
-        segments = [
-            Segment(
-                float(i), float(i), recording.inputs[i].round(9), place.round(9), turned, np.nan
-            )
-            for i, place in enumerate(positions)
-        ]
+        inputs, places = recording.inputs.round(9), positions.round(9)
+        rows = zip(recording.state_times.tolist(), inputs, places, strict=True)
+        segments = [Segment(t, t, pulled, place, turned, np.nan) for t, pulled, place in rows]
     else:
         cleaned = _without_gaps(recording, still_stretches(moved, rule))
         segments, _ = find_segments(cleaned, moved, rule, sequence=True)
@@ -378,11 +372,9 @@ def _without_rest(piece: Piece, rest: float, first: bool) -> Piece:
     if first and resting:
         resting[0] = False
     pairs = list(zip(piece.segments, resting, strict=True))
-    return replace(
-        piece,
-        segments=tuple(one for one, is_rest in pairs if not is_rest),
-        resting=tuple(one for one, is_rest in pairs if is_rest),
-    )
+    kept = tuple(one for one, is_rest in pairs if not is_rest)
+    between = tuple(one for one, is_rest in pairs if is_rest)
+    return replace(piece, segments=kept, resting=between)
 
 
 def _dropped_lines(pieces: Sequence[Piece], labels: Sequence[str]) -> list[str]:

@@ -318,16 +318,8 @@ def dump_recipe(recipe: Recipe, folder: Path) -> str:
     """Write an import.yaml that lies in a folder; `load_recipe` gives the same recipe."""
     base = os.path.abspath(folder)
     sources = tuple(os.path.relpath(os.path.abspath(s), base) for s in recipe.sources)
-    keys = plain(
-        replace(
-            recipe,
-            sources=sources,
-            robot='robot.yaml',
-            zero=recipe.zero or None,
-            input_unit=None,
-            time_unit=None,
-        )
-    )
+    written = replace(recipe, sources=sources, robot='robot.yaml', zero=recipe.zero or None)
+    keys = plain(replace(written, input_unit=None, time_unit=None))
     keys['leave_out'] = plain(recipe.leave_out or ())  # none is a choice, too
     keys |= {'time': {}} if recipe.time == {} else {}
     return HEAD + dump_yaml(keys)
@@ -506,10 +498,9 @@ class Selection:
             guesses = (guess_inputs(names_of(t), missing) for t in tables)
             if (guess := next(filter(None, guesses), None)) is None:
                 known = listing(n.column for t in tables for n in names_of(t) if not n.axis)
-                problem = (
-                    f'no columns for the inputs {listing(missing)} are recognised among {known}'
-                )
-                raise DataSetError(tables[0].name, problem, 'name each by --column INPUT=COLUMN')
+                none = f'no columns for the inputs {listing(missing)} are recognised'
+                remedy = 'name each by --column INPUT=COLUMN'
+                raise DataSetError(tables[0].name, f'{none} among {known}', remedy)
             columns, reason = [one.column for one in guess[0]], guess[1]
             inputs |= {name: ColumnUse(c, '') for name, c in zip(missing, columns, strict=True)}
             self.reasons |= dict.fromkeys(columns, reason)
@@ -559,17 +550,16 @@ class Selection:
         fitting = [u for u in LENGTH_UNITS if low <= apart * UNITS['length'][u] <= high]
         if not fitting:
             others = [u for u in TYPED_LENGTHS if low <= apart * UNITS['length'][u] <= high]
-            raise DataSetError(
-                name,
-                f'nothing says the unit of the markers, and neither m nor mm fits: they are '
-                f'{apart:.4g} apart, the arm is {1e3 * robot.length:.4g} mm long',
-                ' or '.join(f'say --unit positions={unit}' for unit in others)
-                or 'correct cell_length and cells of the robot, or say --unit positions=UNIT',
+            none = 'nothing says the unit of the markers, and neither m nor mm fits'
+            sizes = f'they are {apart:.4g} apart, the arm is {1e3 * robot.length:.4g} mm long'
+            remedy = ' or '.join(f'say --unit positions={unit}' for unit in others)
+            remedy = (
+                remedy
+                or 'correct cell_length and cells of the robot, or say --unit positions=UNIT'
             )
-        self.assumed.append(
-            f'markers are in {fitting[0]}: they are up to {apart:.4g} apart on an arm of '
-            f'{1e3 * robot.length:.4g} mm'
-        )
+            raise DataSetError(name, f'{none}: {sizes}', remedy)
+        known_by = f'up to {apart:.4g} apart on an arm of {1e3 * robot.length:.4g} mm'
+        self.assumed.append(f'markers are in {fitting[0]}: they are {known_by}')
         self.recipe = replace(recipe, positions=fitting[0])
 
 

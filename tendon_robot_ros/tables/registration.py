@@ -101,10 +101,8 @@ class TrackerFrame:
             above, first = None, np.eye(3)
             if self.method == 'level':
                 if up is None or not has_verticals:
-                    raise InputError(
-                        "--frame level needs the tracker's --up and the robot's gravity (where "
-                        'the arm points)'
-                    )
+                    needed = "the tracker's --up and the robot's gravity (where the arm points)"
+                    raise InputError(f'--frame level needs {needed}')
                 above = -gravity / np.linalg.norm(gravity)  # up in the base frame, (3,)
                 first = towards(above) @ towards(up_axis(up)).T  # the tracker's up onto that
             rotation, shift = _weighted(measured @ first.T, markers, dataset.arc_lengths, above)
@@ -253,9 +251,8 @@ def _straight(
     chosen = _straight_postures(markers, dataset)
     use = visible & chosen[:, None]
     if use.sum() < 2:
-        raise InputError(
-            '--frame straight needs a posture in which the arm is straight with two markers seen'
-        )
+        needed = 'a posture in which the arm is straight with two markers seen'
+        raise InputError(f'--frame straight needs {needed}')
     points = measured[use]
     arc = np.broadcast_to(dataset.arc_lengths, visible.shape)[use]
     slope = (arc - arc.mean()) @ (points - points.mean(axis=0))

@@ -90,10 +90,8 @@ def input_factor(unit_text: str, spool: WireSpool) -> float:
     if unit.kind in ('force', 'length'):
         return unit.factor
     if spool.radius is None:
-        raise InputError(
-            f'inputs are in {unit.text}: how far is the wire from the axis of its spool? '
-            'say --spool MM'
-        )
+        asked = 'how far is the wire from the axis of its spool? say --spool MM'
+        raise InputError(f'inputs are in {unit.text}: {asked}')
     if unit.kind == 'angle':
         return unit.factor * spool.radius
     if unit.kind == 'current':
@@ -189,10 +187,8 @@ def _trace(
         moved = np.linalg.norm(np.nanmax(positions, axis=0) - np.nanmin(positions, axis=0), axis=1)
         is_recording = recipe.time is None and len(positions) > ROWS_MAX
         if is_recording and np.nanmedian(steps) < FRAME_STEP_FRACTION * moved.max():
-            follow = (
-                f'its {len(positions):,} rows follow each other like the frames of a recording'
-            )
-            problem = f'has no column of times, and {follow}'
+            like = 'follow each other like the frames of a recording'
+            problem = f'has no column of times, and its {len(positions):,} rows {like}'
             remedy = 'say --column time=COLUMN, or leave one row per measurement'
             raise DataSetError(marker_table.name, problem, remedy)
         times = state_times = np.arange(len(input_table), dtype=float)
