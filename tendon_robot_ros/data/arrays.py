@@ -233,11 +233,8 @@ def _numbers(frame: Any, columns: Sequence[str], name: str) -> Floats:
 
 def too_tense(name: str, tension: float, limit: float) -> tuple[str, str]:
     """Return problem and remedy for a tension far beyond the limit [N]: perhaps another unit."""
-    read = [
-        f'{tension * UNITS["force"][unit]:.3g} N if in {unit}'
-        for unit in ('g', 'mN')
-        if tension * UNITS['force'][unit] <= limit
-    ]
+    newtons = {unit: tension * UNITS['force'][unit] for unit in ('g', 'mN')}
+    read = [f'{value:.3g} N if in {unit}' for unit, value in newtons.items() if value <= limit]
     unit = f' ({listed(read, "or")})' if read else ''
     remedy = f'raise tension_limits of the robot description to what was applied, or give N{unit}'
     return f'{name} is {tension:g} N, but tension_limits end at {limit:g} N', remedy

@@ -474,19 +474,14 @@ def refuse_two_senders(recording: Recording) -> None:
 
     """
     states = alternating(recording.state_times, recording.inputs)
-    shapes = [
-        alternating(track.times, track.positions.reshape(len(track.times), -1))
-        for track in recording.tracks
-    ]
-    shape = next((one for one in shapes if one is not None), None)
+    places = [(t.times, t.positions.reshape(len(t.times), -1)) for t in recording.tracks]
+    shape = next(filter(None, (alternating(*one) for one in places)), None)
     if (first := states or shape) is None:
         return
     during, apart = f'from {first[0]:.1f} to {first[1]:.1f} s', first[2]
     if states is not None and shape is not None:
-        problem = (
-            f'{during} inputs and markers of two different times take turns: the clock was set '
-            'back while it was recorded, or two arms publish'
-        )
+        why = 'the clock was set back while it was recorded, or two arms publish'
+        problem = f'{during} inputs and markers of two different times take turns: {why}'
         remedy = 'record it again with a clock that runs on, or cut it there'
     elif states is not None:
         names = sorted({state.header.frame_id for state in recording.states} - {''})

@@ -347,10 +347,8 @@ def summary(imported: Imported) -> str:
     """Summarise the import in one line."""
     trials = imported.dataset.trials
     each = f'{trials.min()}' if trials.min() == trials.max() else f'{trials.min()}..{trials.max()}'
-    return (
-        f'{len(imported.segments)} still segments: {len(trials)} postures x {each} trials x '
-        f'{len(imported.dataset.markers)} markers'
-    )
+    size = f'{len(trials)} postures x {each} trials x {len(imported.dataset.markers)} markers'
+    return f'{len(imported.segments)} still segments: {size}'
 
 
 DataSetLike = DataSet | HasDataSet | str | Path | Sequence['DataSet | HasDataSet | str | Path']

@@ -66,9 +66,8 @@ class ArmMotion:
         start = max(start, recording.state_times[0])  # what the inputs were before, nothing tells
         size = sum(track.positions.shape[1] for track in recording.tracks)
         if (end - start) / window * STEPS_PER_WINDOW * size > VALUES_MAX:
-            problem = (
-                f'{end - start:.0f} s are too long to look for {rule.duration:g} s of stillness'
-            )
+            sought = f'{rule.duration:g} s of stillness'
+            problem = f'{end - start:.0f} s are too long to look for {sought}'
             remedy = 'ask for a longer duration or import a part of the recording'
             raise DataSetError(recording.name, problem, remedy)
         times = np.arange(start + window / 2, end - window / 2 + 1e-9, window / STEPS_PER_WINDOW)
@@ -109,10 +108,8 @@ def never_still(
     if lasts < duration:
         problem = f'lasts {lasts:.3g} s, and the arm counts as still after {duration:g} s'
     elif duration < shortest:
-        problem = (
-            f'holds a place every {0.25 * shortest:.2g} s, too few to see in {duration:g} s '
-            'whether the arm stands still'
-        )
+        few = f'too few to see in {duration:g} s whether the arm stands still'
+        problem = f'holds a place every {0.25 * shortest:.2g} s, {few}'
         remedy = f'ask for a duration of {2.0 * shortest:.2g} or more'
     elif not any(len(moved.times) for moved in motions):
         problem = 'inputs and markers are hardly recorded at the same time'
@@ -127,10 +124,8 @@ def never_still(
         )
         remedy += ', or a higher speed where noise looks like one'
     else:
-        problem = (
-            f'the arm is never slower than {limit:g} mm/s for {duration:g} s (at its slowest '
-            f'moment {slowest:.2g} mm/s)'
-        )
+        moment = f'at its slowest moment {slowest:.2g} mm/s'
+        problem = f'the arm is never slower than {limit:g} mm/s for {duration:g} s ({moment})'
         remedy = 'allow a higher speed or a shorter duration'
     return DataSetError(name, problem, remedy)
 

@@ -278,17 +278,12 @@ def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
     shift = ', '.join(f'{1e3 * x:.1f}' for x in frame.shift)
     angle = np.degrees(rotation_angle(frame.rotation))
     straight = '' if frame.straight is None else f', {mm(frame.straight)} where it is straight'
-    lines = [
-        METHODS[frame.method],
-        f'turned by {angle:.1f}°, shifted by {shift} mm; off the model as described by '
-        f'{mm(frame.residual)} rms{straight}',
-    ]
+    off = f'off the model as described by {mm(frame.residual)} rms{straight}'
+    lines = [METHODS[frame.method], f'turned by {angle:.1f}°, shifted by {shift} mm; {off}']
     if frame.method != 'base':
         position, rotation = robot.tolerances['position'], robot.tolerances['rotation']
-        lines.append(
-            f'known to {mm(position, 2)} and {np.degrees(rotation):.2g}° (tolerances in '
-            'robot.yaml): within that a diagnosis moves it'
-        )
+        known = f'known to {mm(position, 2)} and {np.degrees(rotation):.2g}°'
+        lines.append(f'{known} (tolerances in robot.yaml): within that a diagnosis moves it')
     return lines
 
 

@@ -60,11 +60,8 @@ class RecipeFields(DatasetFields):
     def read(self, kind: type[Part]) -> Part:
         """Read a dataclass by the annotations of its fields; a missing key is the default."""
         hints = get_type_hints(kind, include_extras=True)
-        known = {
-            name: hint.__metadata__[0]
-            for name, hint in hints.items()
-            if get_origin(hint) is Annotated
-        }
+        read_by = {n: hint for n, hint in hints.items() if get_origin(hint) is Annotated}
+        known = {name: hint.__metadata__[0] for name, hint in read_by.items()}
         self.only(*known)
         present = (name for name in known if self.has(name) or not hasattr(kind, name))
         return kind(**{name: known[name](self, name) for name in present})

@@ -80,10 +80,8 @@ class TrackerFrame:
     def __init__(self, predictor: Predictor, choice: FrameChoice, up: str | None) -> None:
         dataset, markers = predictor.dataset, predictor.markers({})
         if markers is None:
-            raise InputError(
-                'the model finds no equilibrium for these inputs: check their unit, and the '
-                'stiffness in the robot description'
-            )
+            remedy = 'check their unit, and the stiffness in the robot description'
+            raise InputError(f'the model finds no equilibrium for these inputs: {remedy}')
         measured = dataset.mean
         visible = np.isfinite(measured).all(axis=2)
         gravity = np.array(predictor.robot.gravity or (0.0, 0.0, 0.0))
