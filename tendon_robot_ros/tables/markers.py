@@ -335,9 +335,9 @@ def order_markers(
         return MarkerOrder((members[0],), only, 'the only marker', (), twice, unseen)
     inner = apart[np.ix_(members, members)]
     if (inner < 0.0).any():
-        problem = 'some markers are never seen together while the arm stands still: nothing tells '
+        alone = 'some markers are never seen together while the arm stands still'
         remedy = 'say each place in an import.yaml (arc_length of markers)'
-        raise DataSetError(name, f'{problem}their order', remedy)
+        raise DataSetError(name, f'{alone}: nothing tells their order', remedy)
     # the ends are farthest apart, and of these the tip moves
     ends = [members[i] for i in np.unravel_index(int(inner.argmax()), inner.shape)]
     base = min(ends, key=lambda j: float(np.nanstd(positions[:, j], axis=0).sum()))

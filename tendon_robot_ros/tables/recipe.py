@@ -549,12 +549,9 @@ class Selection:
             others = [u for u in TYPED_LENGTHS if low <= apart * UNITS['length'][u] <= high]
             none = 'nothing says the unit of the markers, and neither m nor mm fits'
             sizes = f'they are {apart:.4g} apart, the arm is {1e3 * robot.length:.4g} mm long'
-            remedy = ' or '.join(f'say --unit positions={unit}' for unit in others)
-            remedy = (
-                remedy
-                or 'correct cell_length and cells of the robot, or say --unit positions=UNIT'
-            )
-            raise DataSetError(name, f'{none}: {sizes}', remedy)
+            fit = ' or '.join(f'say --unit positions={unit}' for unit in others)
+            correct = 'correct cell_length and cells of the robot, or say --unit positions=UNIT'
+            raise DataSetError(name, f'{none}: {sizes}', fit or correct)
         known_by = f'up to {apart:.4g} apart on an arm of {1e3 * robot.length:.4g} mm'
         self.assumed.append(f'markers are in {fitting[0]}: they are {known_by}')
         self.recipe = replace(recipe, positions=fitting[0])
