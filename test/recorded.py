@@ -5,13 +5,8 @@ import dataclasses
 import numpy as np
 from small_dataset import ROBOT
 
-from tendon_robot_ros.data.bag_writer import (
-    JOINT_STATE,
-    POSE_ARRAY,
-    POSE_STAMPED,
-    BagWriter,
-    Builder,
-)
+from tendon_robot_ros.data.bag_reader import POSE_STAMPED
+from tendon_robot_ros.data.bag_writer import JOINT_STATE, POSE_ARRAY, BagWriter, Builder
 from tendon_robot_ros.robot import parse_robot
 
 SMALL = parse_robot(ROBOT)

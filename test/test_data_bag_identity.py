@@ -163,7 +163,7 @@ def test_topics_that_are_called_as_the_markers_are_read(tmp_path):
 def test_a_shape_in_a_frame_that_is_joined_with_the_base_is_taken_there(tmp_path):
     found = imported(tmp_path, static=(STATIC,), frame='camera', tracker=turned)
     is_right(found)
-    assert found.frame == 'base'
+    assert found.recording.frame == 'base'
 
 
 def test_a_frame_that_nothing_joins_with_the_base_is_refused_where_it_is_not_found(tmp_path):

@@ -16,7 +16,8 @@ pytest.importorskip('rosbags')
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
-from tendon_robot_ros.data.bag_writer import POSE_ARRAY, Timing, export_bag, parse_pose_array
+from tendon_robot_ros.data.bag_reader import parse_pose_array
+from tendon_robot_ros.data.bag_writer import POSE_ARRAY, Timing, export_bag
 from tendon_robot_ros.data.loading import import_bag
 
 QUICK = Timing(hold=1.0, move=0.2, rate=20.0)

@@ -314,7 +314,7 @@ def table_of(*columns):
 )
 def test_inputs_are_told_from_names(columns, taken):
     columns, _ = guess_inputs(names_of(table_of('time', *columns)), ('left', 'right'))
-    assert tuple(use.column for use in columns.values()) == taken
+    assert tuple(name.column for name in columns) == taken
 
 
 def test_a_number_too_few_is_no_guess():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tendon_robot_ros.data import DataSet
-from tendon_robot_ros.data.arrays import corners, remembered
 from tendon_robot_ros.data.dataset import BLOCKS_MAX
+from tendon_robot_ros.data.visits import corners, remembered
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.improve import improve
 from tendon_robot_ros.effects import load_catalogue

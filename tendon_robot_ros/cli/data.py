@@ -18,7 +18,7 @@ from ..common.errors import InputError
 from ..common.files import TABLE_ENDINGS, YAML_ENDINGS, refuse_ending
 from ..common.words import PROGRAM, read_unit
 from ..data import DataSet, load_dataset, save_dataset
-from ..data.bag_reader import Topics, is_base
+from ..data.bag_reader import Topics
 from ..data.bag_writer import STORAGES, Timing, export_bag
 from ..data.dataset import PATHS
 from ..data.folder import read_text, refuse_dataset_in
@@ -148,7 +148,7 @@ def placed(imported: Imported, method: str | None, up: str | None) -> tuple[Data
     from ..tables.imported import frame_lines, labelled_lines
     from ..tables.registration import Placed
 
-    known = is_base(imported.frame)
+    known = imported.recording.in_base
     choice = FrameChoice(method or ('base' if known else None))
     try:
         placing = Placed(imported.dataset, Recipe(up=up, frame=choice), load_catalogue(()))
@@ -158,7 +158,7 @@ def placed(imported: Imported, method: str | None, up: str | None) -> tuple[Data
         return imported.dataset, [f'the frame was not checked: {error}']
     if choice.method == 'base':  # as it is; what contradicts it is said
         return imported.dataset, labelled_lines('LOOK', placing.frame_warnings)
-    apart = f'{imported.frame!r}, which no transform joins with the base'
+    apart = f'{imported.recording.frame!r}, which no transform joins with the base'
     known_by = frame_lines(placing.frame, placing.dataset.robot)
     lines = labelled_lines('frame', [apart, *known_by])
     lines += labelled_lines('dropped', placing.dropped)

@@ -69,6 +69,12 @@ def parse_yaml(text: str) -> Any:
         raise ValueError(' '.join(str(error).split())) from None
 
 
+def dump_yaml(content: Any) -> str:
+    """Write plain values as YAML: keys in their order, lists of values on one line."""
+    options: Any = {'sort_keys': False, 'default_flow_style': None, 'allow_unicode': True}
+    return str(yaml.safe_dump(content, **options))
+
+
 def read_yaml(path: Path, refuse: Callable[[object], TendonRobotError]) -> Any:
     """Read a YAML file into plain values; `refuse` makes the error from a reason."""
     text = read_text(path, refuse)

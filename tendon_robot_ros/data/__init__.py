@@ -2,7 +2,8 @@
 Measurements: `DataSet`, and where it comes from.
 
 dataset.py            measured postures as frozen arrays; a missing value is nan (SI units)
-arrays.py             markers; visits; the arrays of a tidy table of pandas; impossible units
+arrays.py             markers; the arrays of a tidy table of pandas; impossible units
+visits.py             postures in any order, split by the command before
 loading.py            the measurements that a folder, a recording, an object or a list mean
 folder.py             a data set as a folder: dataset.yaml, `read_folder`, `save_dataset`
 measurement_files.py  inputs.csv and shapes.csv: what was commanded, where the markers were

@@ -1,22 +1,17 @@
-"""
-What a data set consists of: markers, visits, and the arrays of a tidy table.
-
-Visits are settled postures in any order: those of one command differ by the command before.
-"""
+"""Markers, the arrays of a tidy table of pandas, and values in impossible units."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..common.arrays import RESOLUTION, Bools, Floats, Ints, simplified
+from ..common.arrays import RESOLUTION, Bools, Floats, Ints
 from ..common.errors import DataSetError, refusal, short
 from ..common.words import UNITS, listed
 from ..robot import Robot
-from ..robot.estimates import INPUT_TOLERANCE
 
 # [1] times the largest tension, or the length of the arm, beyond which a value is refused, because
 # it is in another unit or frame
@@ -127,12 +122,9 @@ def read_frame(
     """
     for column in ('posture', 'marker', *POSITION, *inputs):
         if column not in frame.columns:
-            raise DataSetError(
-                name,
-                f'no column {column!r}',
-                f'a row per posture and marker needs posture, marker, x, y, z and '
-                f'{", ".join(inputs)}; {HINT}',
-            )
+            needed = f'posture, marker, x, y, z and {", ".join(inputs)}'
+            remedy = f'a row per posture and marker needs {needed}; {HINT}'
+            raise DataSetError(name, f'no column {column!r}', remedy)
     if not len(frame):
         raise DataSetError(name, 'has no row', HINT)
     postures, posture = _codes(frame['posture'])
@@ -146,11 +138,8 @@ def read_frame(
     values, counts = np.unique(rows, return_counts=True)
     if (counts > 1).any():
         p, q, j = np.unravel_index(int(values[counts.argmax()]), sizes)
-        raise DataSetError(
-            name,
-            f'posture {postures[p]!r}, trial {trials[q]!r}, marker {markers[j]!r} stands twice',
-            f'number the trials; {HINT}',
-        )
+        names = f'posture {postures[p]!r}, trial {trials[q]!r}, marker {markers[j]!r}'
+        raise DataSetError(name, f'{names} stands twice', f'number the trials; {HINT}')
     arrays: dict[str, Any] = {'postures': postures, 'trial_names': trials}
     for key, columns in (('positions', POSITION), ('orientations', QUATERNION)):
         if all(column in frame.columns for column in columns):
@@ -173,12 +162,10 @@ def read_frame(
     other = ~np.isclose(kept, pulled, rtol=0.0, atol=RESOLUTION, equal_nan=True)
     if other.any():
         row, column = np.argwhere(other)[0].tolist()
-        raise DataSetError(
-            f'{name}, row {row}',
-            f'{inputs[column]} is {pulled[row, column]:g}, in another row of this trial '
-            f'{kept[row, column]:g}',
-            'a trial has one value for each input',
-        )
+        one, another = f'{pulled[row, column]:g}', f'{kept[row, column]:g}'
+        problem = f'{inputs[column]} is {one}, in another row of this trial {another}'
+        remedy = 'a trial has one value for each input'
+        raise DataSetError(f'{name}, row {row}', problem, remedy)
     mean, arrays['trial_inputs'] = mean_inputs(each, ~np.isinf(each[..., 0]), postures, name)
     return arrays | {'inputs': mean}, markers, arc_lengths
 
@@ -239,197 +226,15 @@ def _numbers(frame: Any, columns: Sequence[str], name: str) -> Floats:
             try:
                 values[row, i] = np.nan if value is None else float(value)
             except (TypeError, ValueError):
-                raise DataSetError(
-                    f'{name}, row {row}', f'{column} is {short(value)}', 'expected a number or nan'
-                ) from None
+                where, problem = f'{name}, row {row}', f'{column} is {short(value)}'
+                raise DataSetError(where, problem, 'expected a number or nan') from None
     return values
 
 
 def too_tense(name: str, tension: float, limit: float) -> tuple[str, str]:
     """Return problem and remedy for a tension far beyond the limit [N]: perhaps another unit."""
-    read = [
-        f'{tension * UNITS["force"][unit]:.3g} N if in {unit}'
-        for unit in ('g', 'mN')
-        if tension * UNITS['force'][unit] <= limit
-    ]
+    newtons = {unit: tension * UNITS['force'][unit] for unit in ('g', 'mN')}
+    read = [f'{value:.3g} N if in {unit}' for unit, value in newtons.items() if value <= limit]
     unit = f' ({listed(read, "or")})' if read else ''
-    return (
-        f'{name} is {tension:g} N, but tension_limits end at {limit:g} N',
-        f'raise tension_limits of the robot description to what was applied, or give N{unit}',
-    )
-
-
-STRAIGHT = -1  # [1] index of the straight arm as the command before, so that it is no command
-
-
-@dataclass(frozen=True, eq=False)
-class Visits:
-    """
-    The history of the P postures of a data set: V visits, one after the other.
-
-    A posture is a command and the command before it. A visit that was measured is a trial of its
-    posture; what a model says of the posture is the mean over these visits.
-    """
-
-    commands: tuple[str, ...]  # (P,) what was commanded, by the name that files give it
-    rows: Ints  # (V,) index of the posture that was visited
-    fresh: Bools  # (V,) whether the arm came from straight; else from the visit before
-    counts: Bools  # (V,) whether it was measured
-    trials: Ints  # (V,) index of the trial that it was; -1: more than one, or none
-
-    @property
-    def in_one_go(self) -> bool:
-        """Whether the arm was straight before the first visit only."""
-        return not self.fresh[1:].any()
-
-    @property
-    def origins(self) -> tuple[str, ...]:
-        """Return the command (P,) that the arm came from; an empty name is the straight arm."""
-        origins = [''] * len(self.commands)
-        for v in np.argsort(self.counts, kind='stable').tolist():  # what counts has the last word
-            row = self.rows[v]
-            origins[row] = '' if self.fresh[v] else self.commands[self.rows[v - 1]]
-        return tuple(origins)
-
-    def among(self, postures: Ints) -> Visits:
-        """Return the visits to some postures; no other may lie between them."""
-        place = np.full(len(self.commands), -1)
-        place[postures] = np.arange(len(postures))
-        own = place[self.rows] >= 0
-        return Visits(
-            tuple(self.commands[i] for i in postures.tolist()),
-            place[self.rows[own]],
-            self.fresh[own],
-            self.counts[own],
-            self.trials[own],
-        )
-
-    def masked(self, mask: Bools) -> Visits:
-        """Return the same visits, of which only those of trials in a mask (P, Q) are measured."""
-        known = self.trials >= 0
-        counts = self.counts.copy()
-        counts[known] &= mask[self.rows[known], self.trials[known]]
-        return replace(self, counts=counts)
-
-    def legs(self) -> list[slice]:
-        """Return the visits from one straight arm to the next."""
-        begins = np.flatnonzero(self.fresh).tolist()
-        return [slice(a, b) for a, b in zip(begins, [*begins[1:], len(self.rows)], strict=True)]
-
-    def mean(self, observed: Floats) -> Floats:
-        """Average observations (V, ...) of the visits over those of each posture, (P, ...)."""
-        measured = np.zeros(len(self.commands), dtype=bool)
-        measured[self.rows[self.counts]] = True
-        used = self.counts | ~measured[self.rows]
-        total = np.zeros((len(self.commands), *observed.shape[1:]))
-        np.add.at(total, self.rows[used], observed[used])
-        number = np.bincount(self.rows[used], minlength=len(self.commands))
-        return total / number.reshape(-1, *(1,) * (observed.ndim - 1))
-
-    @property
-    def last(self) -> Ints:
-        """Return the last visit (P,) to each posture."""
-        last = np.zeros(len(self.commands), dtype=np.int64)
-        last[self.rows] = np.arange(len(self.rows))
-        return last
-
-
-def corners(path: Floats, kept: Ints) -> Ints:
-    """
-    Return the rows between which a path (P, m) is straight, the rows in `kept` among them.
-
-    Every other row lies no further beside the straight line than twice `INPUT_TOLERANCE` of the
-    largest value (Ramer 1972, Douglas and Peucker 1973).
-    """
-
-    def beside(a: int, b: int) -> Floats:
-        way, between = path[b] - path[a], path[a + 1 : b] - path[a]
-        along = np.clip(between @ way / max(float(way @ way), RESOLUTION**2), 0.0, 1.0)
-        return np.asarray(np.abs(between - along[:, None] * way).max(axis=1, initial=0.0))
-
-    limit = 2.0 * INPUT_TOLERANCE * float(np.abs(path).max())
-    return np.array(simplified({0, *kept.tolist()}, limit, beside))
-
-
-# [1] times through its range that what an input did before is remembered, because plays and bends
-# that lag have then followed it once up and once down
-RANGES_REMEMBERED = 2.0
-
-
-def remembered(path: Floats, kept: Ints) -> Ints:
-    """
-    Return the rows of a path (P, m) that an arm may remember at the rows in `kept`.
-
-    It has forgotten a row after which every input has travelled `RANGES_REMEMBERED` before the
-    next kept one.
-    """
-    travel = np.abs(np.diff(path, axis=0, prepend=path[:1])).cumsum(axis=0)
-    ahead = kept[np.searchsorted(kept, np.arange(len(path)))]
-    far = travel[ahead] - travel >= RANGES_REMEMBERED * np.ptp(path, axis=0)
-    return np.flatnonzero(~far.all(axis=1) | (ahead == np.arange(len(path))))
-
-
-def join_visits(parts: Sequence[Visits]) -> Visits:
-    """Return the visits of several data sets whose postures follow each other."""
-    begins = np.cumsum([0, *(len(part.commands) for part in parts)])
-    return Visits(
-        tuple(name for part in parts for name in part.commands),
-        np.concatenate([part.rows + b for part, b in zip(parts, begins[:-1], strict=True)]),
-        np.concatenate([part.fresh for part in parts]),
-        np.concatenate([part.counts for part in parts]),
-        np.concatenate([part.trials for part in parts]),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Split:
-    """Commands split into postures by the command before."""
-
-    visits: Visits
-    postures: tuple[str, ...]  # (P,) 'bent after rest'
-    command: Ints  # (P,) index of the command
-    posture: Ints  # (R,) index of the posture of each row that was split
-
-
-def split_by_order(
-    names: Sequence[str],
-    commands: Ints,
-    trials: Ints,
-    measured: Bools,
-    fresh: Bools | None = None,
-) -> Split:
-    """
-    Split commands (V,) that followed each other.
-
-    The first came from the straight arm, and every one that is `fresh` (V,).
-    """
-    fresh = np.arange(len(commands)) == 0 if fresh is None else fresh
-    before = np.where(fresh, STRAIGHT, np.append(STRAIGHT, commands[:-1]))
-    pairs, posture = _pairs(commands, before)
-    return _split(names, pairs, posture, Visits((), posture, fresh, measured, trials))
-
-
-def split_by_origin(names: Sequence[str], commands: Ints, before: Ints, measured: Bools) -> Split:
-    """Split rows (R,) by their given command before, which the arm reached from straight."""
-    pairs, posture = _pairs(commands, before)
-    present = np.isin(np.arange(len(pairs)), posture[measured])
-    each: list[tuple[int, bool, bool]] = []  # row, fresh, counts
-    for p, (_, origin) in enumerate(pairs.tolist()):
-        if origin != STRAIGHT:
-            each.append((int(np.flatnonzero(pairs[:, 0] == origin)[0]), True, False))
-        each.append((p, origin == STRAIGHT, bool(present[p])))
-    rows, fresh, counts = (np.array(column) for column in zip(*each, strict=True))
-    visits = Visits((), rows, fresh, counts, np.full(len(rows), -1))
-    return _split(names, pairs, posture, visits)
-
-
-def _pairs(commands: Ints, before: Ints) -> tuple[Ints, Ints]:
-    pairs, posture = np.unique(np.stack([commands, before], 1), axis=0, return_inverse=True)
-    return pairs, posture.reshape(-1)
-
-
-def _split(names: Sequence[str], pairs: Ints, posture: Ints, visits: Visits) -> Split:
-    commands = tuple(names[command] for command in pairs[:, 0].tolist())
-    origins = ['the straight arm' if b == STRAIGHT else names[b] for b in pairs[:, 1].tolist()]
-    labels = tuple(f'{c} after {b}' for c, b in zip(commands, origins, strict=True))
-    return Split(replace(visits, commands=commands), labels, pairs[:, 0], posture)
+    remedy = f'raise tension_limits of the robot description to what was applied, or give N{unit}'
+    return f'{name} is {tension:g} N, but tension_limits end at {limit:g} N', remedy

@@ -17,22 +17,11 @@ from ..common.rotations import from_quaternion
 from ..common.words import PROGRAM, listing
 from ..robot.estimates import NOISE_FACTOR, TRACKER_NOISE_M
 from .arrays import NO_ROTATION
-from .bag_writer import (
-    DESCRIPTION,
-    JOINT_STATE,
-    LABEL,
-    POSE_ARRAY,
-    POSE_STAMPED,
-    ROBOT,
-    STRING,
-    joints_of,
-    need_rosbags,
-    parse_pose_array,
-    poses_of,
-)
+from .bag_writer import DESCRIPTION, JOINT_STATE, LABEL, POSE_ARRAY, ROBOT, STRING, need_rosbags
 from .tracker_faults import CHANCE_PROBABILITY
 
 STORED = ('.mcap', '.db3')  # endings of recordings in one file
+POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
 TF = 'tf2_msgs/msg/TFMessage'
 
 
@@ -61,17 +50,24 @@ class Recording:
 
     name: str
     state_times: Floats  # (T,) [s]
-    states: list[Any]  # (T,) the JointState messages
     tracks: tuple[Track, ...]  # one of all markers, or one per marker; empty: see `with_markers`
-    marker_names: tuple[str, ...]  # of tracks of one marker each; empty for a PoseArray
-    labels: list[tuple[float, str]]  # (time [s], text)
-    description: str | None  # text of dataset.yaml
-    robot: str | None  # text of robot.yaml
+    states: Sequence[Any] = ()  # (T,) the JointState messages
+    marker_names: tuple[str, ...] = ()  # of tracks of one marker each; empty for a PoseArray
+    labels: Sequence[tuple[float, str]] = ()  # (time [s], text)
+    description: str | None = None  # text of dataset.yaml
+    robot: str | None = None  # text of robot.yaml
     frame: str = ''  # in which the markers are
     start: int = 0  # [ns] when it began
+    # (T, m) [N] or [m] at `state_times`, once it is known which of them are those of the robot
+    inputs: Floats = field(default_factory=lambda: np.zeros((0, 0)))
 
-    def inputs(self, names: tuple[str, ...], kind: str) -> Floats:
-        """Return the inputs at `state_times`, (T, m) [N] or [m], NaN where not given."""
+    @property
+    def in_base(self) -> bool:
+        """Whether the markers are in the frame of the base."""
+        return is_base(self.frame)
+
+    def states_of(self, names: tuple[str, ...], kind: str) -> Floats:
+        """Return the named tensions or pulls, (T, m) [N] or [m], NaN where not given."""
         column = 0 if kind == 'displacement' else 1
         return _sane(np.array([joints_of(state, names)[column] for state in self.states]))
 
@@ -165,13 +161,10 @@ def opened(path: str | Path) -> Iterator[Any]:
     stored = f'name a rosbag2 folder, or a file {" or ".join(STORED)}'
     bag, no_bag = path.suffix == '.bag', not (path / 'metadata.yaml').is_file()
     is_set = (path / 'dataset.yaml').is_file()
+    ros_1 = 'is a folder, and called as a file of ROS 1'
     for wrong, problem, remedy in (
         (not path.exists(), 'is not there', 'name a rosbag2 folder or an .mcap file'),
-        (
-            bag and path.is_dir(),
-            'is a folder, and called as a file of ROS 1',
-            'rename it, without .bag',
-        ),
+        (bag and path.is_dir(), ros_1, 'rename it, without .bag'),
         (bag, 'is a ROS 1 bag', convert),
         (path.is_dir() and no_bag and is_set, 'is a data set, and no recording', compare),
         (path.is_dir() and no_bag, 'is a folder without metadata.yaml, and no recording', name),
@@ -218,9 +211,8 @@ def _roles(bag: str, types: Mapping[str, str], topics: Topics) -> dict[str, str]
                 continue  # markers come otherwise: `with_markers` finds them, or says so
             known = listing(sorted(t for t, k in types.items() if k == kind))
             problem = f'is a {types[name]}' if name in types else 'is not in it'
-            raise DataSetError(
-                bag, f'topic {name} {problem}', f'name one that is a {kind}; there: {known}'
-            )
+            remedy = f'name one that is a {kind}; there: {known}'
+            raise DataSetError(bag, f'topic {name} {problem}', remedy)
         if other := roles.get(name_in_bag):
             problem = f'topic {name_in_bag} is given for {other} and for {role}'
             raise DataSetError(bag, problem, 'give each a topic of its own')
@@ -254,6 +246,53 @@ def _track(bag: str, times: Floats, samples: Sequence[tuple[int, Floats]]) -> Tr
 def _sane(values: Floats) -> Floats:
     """Replace values that are no measurements, and would overflow in a sum, by NaN."""
     return np.where(np.abs(values) < 1e9, values, np.nan)
+
+
+def poses_of(message: Any) -> tuple[str, Floats]:
+    """Take the frame and x, y, z [m], qx, qy, qz, qw of a PoseStamped, (1, 7)."""
+    p, q = message.pose.position, message.pose.orientation
+    return message.header.frame_id, np.array([[p.x, p.y, p.z, q.x, q.y, q.z, q.w]])
+
+
+def parse_pose_array(data: bytes) -> tuple[str, Floats]:
+    """
+    Take the frame and the poses (J, 7) from the bytes of a PoseArray.
+
+    Ten minutes of thirty markers at 100 Hz are two million poses: as objects they take half a
+    minute, so that the one message that holds many numbers is read here.
+
+    Raises
+    ------
+    ValueError
+        The bytes are no PoseArray.
+
+    """
+    order = '<' if data[1] == 1 else '>'  # CDR: four bytes of encoding, then aligned fields
+    body = memoryview(data)[4:]
+
+    def count(place: int) -> int:
+        return int(np.frombuffer(body, f'{order}u4', 1, place)[0])
+
+    size = count(8)  # after the stamp
+    frame = bytes(body[12 : 12 + size]).rstrip(b'\0').decode()
+    place = -(-(12 + size) // 4) * 4
+    number = count(place)
+    place = -(-(place + 4) // 8) * 8
+    values = np.frombuffer(body, f'{order}f8', 7 * number, place) if number else np.zeros(0)
+    return frame, values.reshape(number, 7).astype(float)
+
+
+def joints_of(message: Any, names: Sequence[str]) -> tuple[list[float], list[float]]:
+    """Return pulls [m] and tensions [N] of the named tendons of a JointState; NaN = missing."""
+    # a damaged recording may name the fields otherwise
+    every, pulls, tensions = (getattr(message, one, ()) for one in ('name', 'position', 'effort'))
+    places = {name: place for place, name in enumerate(every)}
+
+    def pick(values: Sequence[float]) -> list[float]:
+        columns = (places.get(name, len(values)) for name in names)
+        return [float(values[i]) if i < len(values) else float('nan') for i in columns]
+
+    return pick(pulls), pick(tensions)
 
 
 BASES = ('', 'base', 'base_link', 'base_frame')  # and what ends with _base
@@ -326,12 +365,9 @@ class Transforms:
             far = np.linalg.norm(rows[:, 1:4] - moved, axis=1).max()
             along = np.clip(np.abs(rows[:, 4:] @ quaternion), 0.0, 1.0)
             if far > NOISE_FACTOR * TRACKER_NOISE_M or 2.0 * np.arccos(along.min()) > STEADY_RAD:
-                raise DataSetError(
-                    self._name,
-                    f'frame {child!r} moves in {parent!r}, by {1e3 * far:.3g} mm: markers cannot '
-                    'be given in it',
-                    'record them in a frame that is fixed to the base',
-                )
+                moves = f'frame {child!r} moves in {parent!r}, by {1e3 * far:.3g} mm'
+                remedy = 'record them in a frame that is fixed to the base'
+                raise DataSetError(self._name, f'{moves}: markers cannot be given in it', remedy)
             step = from_quaternion((quaternion / np.linalg.norm(quaternion)).tolist())
             if frame == parent:  # from either end
                 step, moved = step.T, -step.T @ moved
@@ -340,22 +376,19 @@ class Transforms:
         return rotation, shift
 
 
-def with_markers(
-    recording: Recording, topics: Topics, names: Sequence[str], bag: str | Path
-) -> Recording:
+def with_markers(recording: Recording, topics: Topics, names: Sequence[str]) -> Recording:
     """
-    Return a recording with its markers, where these came as poses or transforms of their own.
+    Return a recording with its markers, in the frame of the base if its transforms lead there.
+
+    Where it has none yet, they came as poses or transforms of their own.
 
     Parameters
     ----------
     recording : Recording
-        Without markers.
     topics : Topics
         Its `markers` may name frames instead of topics.
     names : sequence of str
         Of the markers of the description: by default a frame, or a part of a topic, is called so.
-    bag : path
-        Of the recording.
 
     Raises
     ------
@@ -363,6 +396,9 @@ def with_markers(
         No topic and no frame has the name of a marker; the message lists the existing ones.
 
     """
+    if recording.tracks:
+        return _to_base(recording)
+    bag = recording.name
     with opened(bag) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
     stamped = [topic for topic in other_sources(types) if types[topic] == POSE_STAMPED]
@@ -376,22 +412,17 @@ def with_markers(
     frames = sorted({child for _, child in transforms.edges})
     lacking = [frame for frame in chosen.values() if frame not in frames]
     if lacking:
-        shown = [*stamped, *frames]
-        raise DataSetError(
-            str(bag),
-            f'topic /{topics.shape.lstrip("/")} is not in it, and no topic or frame of /tf is '
-            f'called {listing(lacking)}',
-            f'say which is which marker, --marker {next(iter(chosen))}=NAME for each; there: '
-            f'{listing(shown)}',
-        )
+        none = f'no topic or frame of /tf is called {listing(lacking)}'
+        problem = f'topic /{topics.shape.lstrip("/")} is not in it, and {none}'
+        option, known = f'--marker {next(iter(chosen))}=NAME', listing([*stamped, *frames])
+        remedy = f'say which is which marker, {option} for each; there: {known}'
+        raise DataSetError(bag, problem, remedy)
     placed = [transforms.track(frame) for frame in chosen.values()]
     poses = {parent: transforms.to_base(parent) for parent, _ in placed}
     if None in poses.values() and len(poses) > 1:
-        raise DataSetError(
-            str(bag),
-            f'markers are given in the frames {listing(sorted(poses))}, which nothing joins',
-            'record all of them in one frame, or /tf_static with them',
-        )
+        problem = f'markers are given in the frames {listing(sorted(poses))}, which nothing joins'
+        remedy = 'record all of them in one frame, or /tf_static with them'
+        raise DataSetError(bag, problem, remedy)
     tracks, frame = [], 'base'
     for parent, track in placed:
         pose = poses[parent]
@@ -400,9 +431,9 @@ def with_markers(
     return replace(recording, tracks=tuple(tracks), marker_names=tuple(chosen), frame=frame)
 
 
-def in_base(recording: Recording) -> Recording:
+def _to_base(recording: Recording) -> Recording:
     """Transform a recording to the frame of the base if its transforms allow it."""
-    if is_base(recording.frame):
+    if recording.in_base:
         return recording
     pose = Transforms(recording).to_base(recording.frame.lstrip('/'))
     if pose is None:
@@ -432,15 +463,9 @@ APART_FRACTION = 0.1
 CHANCE = 0.006
 
 
-def refuse_two_senders(recording: Recording, inputs: Floats) -> None:
+def refuse_two_senders(recording: Recording) -> None:
     """
     Refuse a recording in which messages about two different states take turns.
-
-    Parameters
-    ----------
-    recording : Recording
-    inputs : (T, m) [N] or [m]
-        At its `state_times`.
 
     Raises
     ------
@@ -448,38 +473,30 @@ def refuse_two_senders(recording: Recording, inputs: Floats) -> None:
         Two programs publish one topic, or a clock was set back: what, from when to when.
 
     """
-    states = alternating(recording.state_times, inputs)
-    shapes = [
-        alternating(track.times, track.positions.reshape(len(track.times), -1))
-        for track in recording.tracks
-    ]
-    shape = next((one for one in shapes if one is not None), None)
+    states = alternating(recording.state_times, recording.inputs)
+    places = [(t.times, t.positions.reshape(len(t.times), -1)) for t in recording.tracks]
+    shape = next(filter(None, (alternating(*one) for one in places)), None)
+    if (first := states or shape) is None:
+        return
+    during, apart = f'from {first[0]:.1f} to {first[1]:.1f} s', first[2]
     if states is not None and shape is not None:
-        raise DataSetError(
-            recording.name,
-            f'from {states[0]:.1f} to {states[1]:.1f} s inputs and markers of two different times '
-            'take turns: the clock was set back while it was recorded, or two arms publish',
-            'record it again with a clock that runs on, or cut it there',
-        )
-    if states is not None:
+        why = 'the clock was set back while it was recorded, or two arms publish'
+        problem = f'{during} inputs and markers of two different times take turns: {why}'
+        remedy = 'record it again with a clock that runs on, or cut it there'
+    elif states is not None:
         names = sorted({state.header.frame_id for state in recording.states} - {''})
         named = len(names) > 1  # programs that write a name of their own there
         who = f' ({listing(names)})' if named else ''
+        differ = f'{during} they differ by up to {apart:.3g}'
+        problem = f'two programs publish the tendon states{who}: {differ}'
         which = '' if named else ' (ros2 topic info --verbose names them while they run)'
-        remedy = f', or keep one: --sender {names[0]!r}' if named else ''
-        raise DataSetError(
-            recording.name,
-            f'two programs publish the tendon states{who}: from {states[0]:.1f} to '
-            f'{states[1]:.1f} s they differ by up to {states[2]:.3g}',
-            f'end one of them{which} and record again{remedy}',
-        )
-    if shape is not None:
-        raise DataSetError(
-            recording.name,
-            f'two programs publish markers on one topic: from {shape[0]:.1f} to {shape[1]:.1f} s '
-            f'places differ by up to {1e3 * shape[2]:.3g} mm',
-            'end one of them and record again, or give each a topic of its own',
-        )
+        remedy = f'end one of them{which} and record again'
+        remedy += f', or keep one: --sender {names[0]!r}' if named else ''
+    else:
+        differ = f'{during} places differ by up to {1e3 * apart:.3g} mm'
+        problem = f'two programs publish markers on one topic: {differ}'
+        remedy = 'end one of them and record again, or give each a topic of its own'
+    raise DataSetError(recording.name, problem, remedy)
 
 
 def alternating(times: Floats, values: Floats) -> tuple[float, float, float] | None:
@@ -501,11 +518,8 @@ def alternating(times: Floats, values: Floats) -> tuple[float, float, float] | N
     flips = (above[:, 1:] != above[:, :-1]).sum(axis=1)  # (count, n)
     within = np.ptp(np.where(np.isfinite(groups), groups, order[:, :1]), axis=1) - gap[:, 0]
     many = above.sum(axis=1)
-    mixed = (
-        (flips >= GROUP // 3)  # a step has one
-        & (gap[:, 0] > within)
-        & (gap[:, 0] > APART_FRACTION * spread)
-    )
+    mixed = (flips >= GROUP // 3) & (gap[:, 0] > within)  # a step flips once
+    mixed &= gap[:, 0] > APART_FRACTION * spread
     few = GROUP // 4  # one or two are failed readings
     mixed &= (many >= few) & (many <= GROUP - few) & (spread > 0.0)
     chance = CHANCE * count

@@ -84,9 +84,8 @@ class BagWriter(AbstractContextManager['BagWriter']):
         except WriterError:
             raise DataSetError(str(folder), 'is there already', 'name a new folder') from None
         except OSError as error:
-            raise DataSetError(
-                str(folder), f'cannot be made ({error.strerror})', 'name another place'
-            ) from None
+            problem = f'cannot be made ({error.strerror})'
+            raise DataSetError(str(folder), problem, 'name another place') from None
         self._connections: dict[str, Any] = {}
 
     def add_topic(self, topic: str, kind: str, latched: bool = False) -> None:
@@ -140,7 +139,6 @@ class BagWriter(AbstractContextManager['BagWriter']):
 STRING = 'std_msgs/msg/String'
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 POSE_ARRAY = 'geometry_msgs/msg/PoseArray'
-POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'
 
 
 class Builder:
@@ -179,53 +177,6 @@ class Builder:
     def _header(self, time: int) -> object:
         stamp = self._types['builtin_interfaces/msg/Time'](sec=time // 10**9, nanosec=time % 10**9)
         return self._types['std_msgs/msg/Header'](stamp=stamp, frame_id=self._frame)
-
-
-def poses_of(message: Any) -> tuple[str, Floats]:
-    """Take the frame and x, y, z [m], qx, qy, qz, qw of a PoseStamped, (1, 7)."""
-    p, q = message.pose.position, message.pose.orientation
-    return message.header.frame_id, np.array([[p.x, p.y, p.z, q.x, q.y, q.z, q.w]])
-
-
-def parse_pose_array(data: bytes) -> tuple[str, Floats]:
-    """
-    Take the frame and the poses (J, 7) from the bytes of a PoseArray.
-
-    Ten minutes of thirty markers at 100 Hz are two million poses: as objects they take half a
-    minute, so that the one message that holds many numbers is read here.
-
-    Raises
-    ------
-    ValueError
-        The bytes are no PoseArray.
-
-    """
-    order = '<' if data[1] == 1 else '>'  # CDR: four bytes of encoding, then aligned fields
-    body = memoryview(data)[4:]
-
-    def count(place: int) -> int:
-        return int(np.frombuffer(body, f'{order}u4', 1, place)[0])
-
-    size = count(8)  # after the stamp
-    frame = bytes(body[12 : 12 + size]).rstrip(b'\0').decode()
-    place = -(-(12 + size) // 4) * 4
-    number = count(place)
-    place = -(-(place + 4) // 8) * 8
-    values = np.frombuffer(body, f'{order}f8', 7 * number, place) if number else np.zeros(0)
-    return frame, values.reshape(number, 7).astype(float)
-
-
-def joints_of(message: Any, names: Sequence[str]) -> tuple[list[float], list[float]]:
-    """Return pulls [m] and tensions [N] of the named tendons of a JointState; NaN = missing."""
-    # a damaged recording may name the fields otherwise
-    every, pulls, tensions = (getattr(message, one, ()) for one in ('name', 'position', 'effort'))
-    places = {name: place for place, name in enumerate(every)}
-
-    def pick(values: Sequence[float]) -> list[float]:
-        columns = (places.get(name, len(values)) for name in names)
-        return [float(values[i]) if i < len(values) else float('nan') for i in columns]
-
-    return pick(pulls), pick(tensions)
 
 
 STATES, SHAPE = '/tendon_states', '/measured_shape'

@@ -101,9 +101,8 @@ class CsvFile:
         self.path, self._missing = path, missing
         line, _, self._rows = csv_text(path, remedy).partition('\n')
         if not line.strip():
-            raise DataSetError(
-                str(path), 'is empty', f'start it with the line {",".join(required)}'
-            )
+            remedy = f'start it with the line {",".join(required)}'
+            raise DataSetError(str(path), 'is empty', remedy)
         self.header = self._header(line, required, known)
         self.codes: dict[str, Ints] = {}
         self.labels: dict[str, tuple[str, ...]] = {}
@@ -143,17 +142,15 @@ class CsvFile:
         table = np.array([places.get(label, -1) for label in self.labels[key]], dtype=np.int64)
         return table[self.codes[key]]
 
-    def read(
-        self, names: Sequence[str], numbers: Sequence[str], remarks: Sequence[str] = ()
-    ) -> CsvFile:
+    def read(self, names: Sequence[str], remarks: Sequence[str] = ()) -> CsvFile:
         """
         Read the rows below the header, and return the file.
 
         Parameters
         ----------
-        names, numbers, remarks : sequence of str
-            Columns to read as names, as numbers, and as names that may be empty and repeat:
-            together all columns of the file.
+        names, remarks : sequence of str
+            Columns to read as names, and as names that may be empty and repeat; all others
+            hold numbers.
 
         Raises
         ------
@@ -166,8 +163,9 @@ class CsvFile:
         if not text:
             raise self.error(2, 'there is no row below the header', 'write one row per value')
         texts = (*names, *remarks)
+        numbers = [key for key in self.header if key not in texts]
         labels: dict[str, dict[str, int]] = {key: {} for key in texts}
-        parts: dict[str, list[Any]] = {key: [] for key in (*texts, *numbers)}
+        parts: dict[str, list[Any]] = {key: [] for key in self.header}
         dtype = np.dtype([(key, float if key in numbers else object) for key in self.header])
         row = 2
         for lines in batched(text.split('\n'), ROWS_AT_ONCE):
@@ -186,9 +184,8 @@ class CsvFile:
         self.numbers = {key: np.concatenate(parts[key]) for key in numbers}
         for key in names:
             if '' in labels[key]:
-                self.refuse(
-                    self.codes[key] == labels[key][''], f'{key} is empty', f'write a {key}'
-                )
+                empty = self.codes[key] == labels[key]['']
+                self.refuse(empty, f'{key} is empty', f'write a {key}')
         if names:
             self._refuse_repeated(names)
         return self
@@ -211,16 +208,14 @@ class CsvFile:
                 raise self.error(1, f'columns are separated by {name}', remedy)
         header = [cell.strip(' "\n') for cell in line.split(',')]
         if not set(header) & set(required):
-            raise self.error(
-                1, 'this is no header', f'start the file with the line {",".join(required)}'
-            )
+            remedy = f'start the file with the line {",".join(required)}'
+            raise self.error(1, 'this is no header', remedy)
         for name in header:
             if header.count(name) > 1:
                 raise self.error(1, f'column {short(name)} stands twice', 'keep one of them')
             if name not in known:
-                raise self.error(
-                    1, f'column {short(name)} is unknown', f'rename it to one of {listing(known)}'
-                )
+                remedy = f'rename it to one of {listing(known)}'
+                raise self.error(1, f'column {short(name)} is unknown', remedy)
         for name in required:
             if name not in header:
                 raise self.error(1, f'column {name!r} is missing', 'add it to the header')
@@ -234,9 +229,8 @@ class CsvFile:
             rows = []
         if len(rows) != len(lines):
             place = next((i for i, line in enumerate(lines) if line.count('"') % 2), 0)
-            raise self.error(
-                row + place, 'the quotation marks do not fit', 'remove all that are on this line'
-            )
+            problem, remedy = 'the quotation marks do not fit', 'remove all that are on this line'
+            raise self.error(row + place, problem, remedy)
         numbers = [key for key in self.header if dtype[key].kind == 'f']
         block = np.empty(len(rows), dtype)
         for place, cells in enumerate(rows):

@@ -21,15 +21,12 @@ from .arrays import (
     POSITION,
     QUATERNION,
     Marker,
-    Split,
     Vector,
-    Visits,
-    corners,
     place_markers,
     read_frame,
-    remembered,
     too_tense,
 )
+from .visits import Split, Visits, corners, remembered
 
 Known = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 
@@ -523,10 +520,9 @@ class DataSet(TextResult):
         measured = {name: command for command, name, n in visits if n}
         commands = list(dict.fromkeys(measured.values()))
         if len(commands) < 2 or not 0.0 < share < 1.0:
-            raise InputError(
-                f'{self.name}: cannot hold out a share of {share:g} of '
-                f'{len(commands)} measured postures; both parts need at least one'
-            )
+            problem = f'a share of {share:g} of {len(commands)} measured postures'
+            remedy = 'both parts need at least one'
+            raise InputError(f'{self.name}: cannot hold out {problem}; {remedy}')
         size = min(max(round(share * len(commands)), 1), len(commands) - 1)
         drawn = np.random.default_rng(seed).permutation(len(commands))[:size]
         check = {name for name, command in measured.items() if commands.index(command) in drawn}

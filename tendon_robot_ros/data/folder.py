@@ -10,25 +10,16 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import yaml
 
 from ..common import files
 from ..common.errors import DataSetError, TendonRobotError, place, short
 from ..common.files import TABLE_ENDINGS, new_folder, refuse_other_files
 from ..common.words import PROGRAM, STANDARD_GRAVITY
-from ..common.yaml_reading import Reader, parse_yaml
+from ..common.yaml_reading import Reader, dump_yaml, parse_yaml
 from ..robot import Robot, dump_robot, load_robot
-from .arrays import (
-    PLAUSIBLE_FACTOR,
-    POSITION,
-    QUATERNION,
-    Marker,
-    default_markers,
-    split_by_order,
-    split_by_origin,
-)
+from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, Marker, default_markers
 from .dataset import INPUTS, PATHS, DataSet, HasDataSet, as_dataset
-from .measurement_files import KEYS, ORIGIN, VISIT, Commands, Shapes
+from .measurement_files import KEYS, ORIGIN, VISIT, Commands, read_shapes
 
 DESCRIPTION_KEYS = (
     *('robot', 'input', 'path', 'gravity', 'position_noise', 'tension_noise', 'accuracy'),
@@ -133,9 +124,8 @@ def describe(fields: DatasetFields, robot: Robot) -> dict[str, Any]:
     for name in fields.mapping('known'):
         effect = fields.child('known').child(str(name))
         if not effect.content:
-            raise fields.error(
-                'known', 'parameters such as tip_load: {force_z: 0.98}', effect.content
-            )
+            expected = 'parameters such as tip_load: {force_z: 0.98}'
+            raise fields.error('known', expected, effect.content)
         known[str(name)] = {str(key): effect.number(str(key)) for key in effect.content}
     gravity = None
     if fields.has('gravity'):
@@ -168,9 +158,8 @@ def _markers(fields: DatasetFields, robot: Robot) -> tuple[Marker, ...]:
         arc_length = item.number('arc_length', 0.0, robot.length + 1e-9, 'm')
         offset = item.vector('offset', 3) if item.has('offset') else (0.0, 0.0, 0.0)
         if max(map(abs, offset)) > PLAUSIBLE_FACTOR * robot.length:
-            raise item.error(
-                'offset', 'at most three robot lengths [m] (is it in mm?)', list(offset)
-            )
+            expected = 'at most three robot lengths [m] (is it in mm?)'
+            raise item.error('offset', expected, list(offset))
         markers.append(Marker(item.label('name'), arc_length, offset))
     fields.unique('markers', [marker.name for marker in markers])
     return tuple(markers)
@@ -195,10 +184,7 @@ def dump_description(dataset: DataSet) -> str:
             | ({'offset': list(marker.offset)} if any(marker.offset) else {})
             for marker in dataset.markers
         ]
-    content = {key: value for key, value in content.items() if value is not None}
-    return str(
-        yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    )
+    return dump_yaml({key: value for key, value in content.items() if value is not None})
 
 
 def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
@@ -237,16 +223,14 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
         except TendonRobotError:
             own = robot
         if own.inputs != robot.inputs:
-            raise DataSetError(
-                str(folder),
-                f'was measured with the inputs {", ".join(own.inputs)} of {own.name}, but '
-                f'{robot.source} has {", ".join(robot.inputs)}',
-                'name a description of the robot that was measured',
-            ) from None
+            measured = f'was measured with the inputs {", ".join(own.inputs)} of {own.name}'
+            problem = f'{measured}, but {robot.source} has {", ".join(robot.inputs)}'
+            remedy = 'name a description of the robot that was measured'
+            raise DataSetError(str(folder), problem, remedy) from None
         raise
     between = described['path'] != 'from_straight'
-    shapes = Shapes(folder / 'shapes.csv', robot, names, commands, between)
-    visible = np.isfinite(shapes.positions[..., 0]).any(axis=(0, 1))
+    shapes = read_shapes(folder / 'shapes.csv', robot, names, commands, between)
+    visible = np.isfinite(shapes['positions'][..., 0]).any(axis=(0, 1))
     if described['markers'] and not visible.all():
         problem = f'{names[int(visible.argmin())]!r} was never seen in shapes.csv'
         raise DataSetError(f'{path}: markers', problem, 'correct the name or remove the marker')
@@ -255,13 +239,13 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
         robot=robot,
         postures=commands.postures,
         inputs=commands.by_posture(),
-        trial_names=shapes.trials,
-        trial_inputs=commands.by_trial(shapes.trials),
-        positions=shapes.positions,
-        orientations=shapes.orientations,
+        trial_inputs=commands.by_trial(shapes['trial_names']),
+        **shapes,
         **described | {'markers': markers} | ({'path': 'sequence'} if visits else {}),
     ).without_unseen_markers()
-    return _by_history(dataset, commands) if visits else dataset
+    if not visits:
+        return dataset
+    return dataset.by_origin(*commands.by_history(dataset.trial_names, dataset.trial_mask))
 
 
 def refuse_table(path: Path) -> None:
@@ -290,22 +274,6 @@ def described_robot(folder: str | Path) -> Robot:
     return find_robot(read_fields(read_text(path), str(path)), Path(folder))
 
 
-def _by_history(dataset: DataSet, commands: Commands) -> DataSet:
-    """Split the trials of each posture by the command before."""
-    code, known = commands.codes['posture'], commands.trials is not None
-    trial = commands.translate('trial', dataset.trial_names) if known else None
-    trial_mask = dataset.trial_mask
-    measured = trial_mask.any(axis=1)[code] if trial is None else trial_mask[code, trial]
-    if commands.origin is not None:
-        split = split_by_origin(dataset.postures, code, commands.origin, measured)
-    else:
-        assert commands.visit is not None and trial is not None
-        order = np.argsort(commands.visit)
-        trial = trial[order]
-        split = split_by_order(dataset.postures, code[order], trial, measured[order])
-    return dataset.by_origin(split, trial)
-
-
 FILES = ('dataset.yaml', 'inputs.csv', 'robot.yaml', 'shapes.csv')
 BESIDE = ('import.png', 'import.yaml')  # how it came out of tables
 
@@ -313,9 +281,8 @@ BESIDE = ('import.png', 'import.yaml')  # how it came out of tables
 def refuse_dataset_in(folder: str | Path, overwrite: bool) -> None:
     """Raise DataSetError, before any work, where a data set cannot go into a folder."""
     if not overwrite and (Path(folder) / 'dataset.yaml').is_file():
-        raise DataSetError(
-            str(folder), 'holds a data set already', 'name a new folder or allow --overwrite'
-        )
+        remedy = 'name a new folder or allow --overwrite'
+        raise DataSetError(str(folder), 'holds a data set already', remedy)
     refuse_other_files(Path(folder), (*FILES, *BESIDE) if overwrite else ())
 
 
@@ -386,7 +353,7 @@ def _input_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
     if visits is None:
         keep = measured if dataset.path == 'from_straight' else np.ones_like(measured)
         places = np.argwhere(keep)
-    elif visits.in_one_go and (visits.trials >= 0).all():
+    elif not visits.fresh[1:].any() and (visits.trials >= 0).all():  # in one go
         by_trial = True
         order = np.lexsort((visits.trials, visits.rows))
         places = np.column_stack([visits.rows, visits.trials])[order]

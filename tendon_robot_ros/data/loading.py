@@ -19,30 +19,12 @@ from ..common.errors import DataSetError, place, refusal
 from ..common.files import new_file, shared_file
 from ..common.words import listing
 from ..robot import Robot, RobotLike, load_robot, parse_robot
-from .arrays import PLAUSIBLE_FACTOR, Marker, default_markers, join_visits, too_tense
-from .bag_reader import (
-    Recording,
-    Topics,
-    Track,
-    in_base,
-    is_bag,
-    is_base,
-    read_bag,
-    refuse_two_senders,
-    with_markers,
-)
+from .arrays import PLAUSIBLE_FACTOR, Marker, default_markers, too_tense
+from .bag_reader import Recording, Topics, is_bag, read_bag, refuse_two_senders, with_markers
 from .bag_writer import DESCRIPTION, ROBOT
 from .dataset import EXPECTED, DataSet, HasDataSet, Part, as_dataset
 from .folder import describe, read_fields, read_folder
-from .still_segments import (
-    ArmMotion,
-    Rule,
-    Segment,
-    find_segments,
-    motion,
-    never_still,
-    segments_dataset,
-)
+from .still_segments import ArmMotion, Rule, Segment, find_segments, never_still, segments_dataset
 from .tracker_faults import (
     changes,
     exchange_lines,
@@ -53,6 +35,7 @@ from .tracker_faults import (
     unseen_lines,
     without_unseen,
 )
+from .visits import join_visits
 
 # [s] after which a tendon state tells no longer what the inputs are, because drivers publish many
 # a second; of slower ones three of their intervals
@@ -66,11 +49,9 @@ class Imported:
     dataset: DataSet
     segments: tuple[Segment, ...]
     motion: ArmMotion
-    state_times: Floats  # (T,) [s]
-    inputs: Floats  # (T, m) [N] or [m]
+    recording: Recording
     rule: Rule
     left_out: tuple[str, ...]  # one line about each measurement or reading that was not used
-    frame: str = 'base'  # in which the positions are
 
 
 def import_bag(
@@ -118,37 +99,31 @@ def import_bag(
     topics = topics or Topics()
     recording = read_bag(bag, topics)
     if robot is None and recording.robot is None:
-        raise DataSetError(
-            recording.name, 'it holds no robot description', 'name one with --robot robot.yaml'
-        )
+        problem, remedy = 'it holds no robot description', 'name one with --robot robot.yaml'
+        raise DataSetError(recording.name, problem, remedy)
     if robot is None:
         robot = parse_robot(recording.robot or '', f'{recording.name}: {ROBOT}')
     robot = load_robot(robot)
     described = _describe(recording, robot, description)
     listed, kind = described.pop('markers'), described['input']
     expected = listed or default_markers(robot)
-    if recording.tracks:
-        recording = in_base(recording)
-    else:
-        recording = with_markers(recording, topics, [one.name for one in expected], bag)
-    if not in_tracker_frame and not is_base(recording.frame):
-        raise DataSetError(
-            recording.name,
-            f'markers are in the frame {recording.frame!r}, and no transform in it says where the '
-            'base is',
-            'take it in with `import bag`, which finds where it lies (--frame base: the base)',
-        )
+    recording = with_markers(recording, topics, [one.name for one in expected])
+    if not in_tracker_frame and not recording.in_base:
+        unplaced = 'no transform in it says where the base is'
+        problem = f'markers are in the frame {recording.frame!r}, and {unplaced}'
+        remedy = 'take it in with `import bag`, which finds where it lies (--frame base: the base)'
+        raise DataSetError(recording.name, problem, remedy)
     recording, renumbered_lines = _renumbered(recording, len(expected))
     markers = _markers(recording, robot, listed)
-    inputs = _inputs(recording, robot, kind)
+    recording = replace(recording, inputs=_inputs(recording, robot, kind))
     recording, unseen = _without_unseen(recording, robot, [marker.name for marker in markers])
-    refuse_two_senders(recording, inputs)
+    refuse_two_senders(recording)
     recording, exchanged = _put_back(recording)
     recording, unheard = _while_states_come(recording)
     rule = (rule or Rule()).fill(robot, kind)
-    speeds = motion(recording, inputs, rule)
+    speeds = ArmMotion.of(recording, rule)
     sequence = described['path'] == 'sequence'
-    segments, excluded = find_segments(recording, inputs, speeds, rule, sequence)
+    segments, excluded = find_segments(recording, speeds, rule, sequence)
     if not any(np.isfinite(one.positions).any() for one in segments):
         times = [track.times for track in recording.tracks]
         raise never_still(recording.name, [speeds], times, rule)
@@ -158,7 +133,7 @@ def import_bag(
             problem = f'wherever the arm stands still all inputs are below {rest:g}: at rest'
             raise DataSetError(recording.name, problem, 'lower what counts as rest')
     places = np.array([one.positions for one in segments])
-    if not is_base(recording.frame):  # of a tracker's frame only how far they spread
+    if not recording.in_base:  # of a tracker's frame only how far they spread
         places = places - np.nanmedian(places, axis=(0, 1))
     far = float(np.nan_to_num(np.abs(places)).max())
     if far > PLAUSIBLE_FACTOR * robot.length:
@@ -167,16 +142,8 @@ def import_bag(
         raise DataSetError(recording.name, problem, remedy)
     segments = plausible_inputs(recording.name, segments, robot, kind, rule)
     dataset = segments_dataset(recording.name, segments, robot, markers, **described)
-    return Imported(
-        dataset,
-        tuple(segments),
-        speeds,
-        recording.state_times,
-        inputs,
-        rule,
-        (*renumbered_lines, *exchanged, *unseen, *unheard, *excluded),
-        recording.frame,
-    )
+    left_out = (*renumbered_lines, *exchanged, *unseen, *unheard, *excluded)
+    return Imported(dataset, tuple(segments), speeds, recording, rule, left_out)
 
 
 def _renumbered(recording: Recording, count: int) -> tuple[Recording, list[str]]:
@@ -215,12 +182,11 @@ def _without_unseen(
 ) -> tuple[Recording, list[str]]:
     """Exclude invalid readings of markers; return the recording and a line for each reason."""
     steps = [track.times[1:][changes(track.positions).any(axis=1)] for track in recording.tracks]
-    tracks: list[Track] = []
-    lines: list[str] = []
+    tracks, lines = [], list[str]()
     for k, track in enumerate(recording.tracks):
         others = np.sort(np.concatenate([np.zeros(0), *steps[:k], *steps[k + 1 :]]))
         news = np.diff(np.searchsorted(others, track.times)) > 0
-        positions, counts = without_unseen(track.positions, robot.length, news=news)
+        positions, counts = without_unseen(track.positions, robot.length, news)
         lines += unseen_lines(counts, names if len(recording.tracks) == 1 else [names[k]])
         tracks.append(replace(track, positions=positions))
     return replace(recording, tracks=tuple(tracks)), lines
@@ -247,7 +213,7 @@ def _describe(recording: Recording, robot: Robot, text: str | None) -> dict[str,
     fields = read_fields(text or '', source)
     described = describe(fields, robot)
     if not fields.has('input'):  # a driver that observes no tension gives NaN
-        observed = np.isfinite(recording.inputs(robot.inputs, 'tension')).any()
+        observed = np.isfinite(recording.states_of(robot.inputs, 'tension')).any()
         described['input'] = 'tension' if observed else 'displacement'
     return described
 
@@ -277,15 +243,14 @@ def _markers(
 
 
 def _inputs(recording: Recording, robot: Robot, kind: str) -> Floats:
-    inputs = recording.inputs(robot.inputs, kind)
+    inputs = recording.states_of(robot.inputs, kind)
     listed = {name for state in recording.states for name in state.name}
     for name, column in zip(robot.inputs, inputs.T, strict=True):
         if name not in listed:
-            raise DataSetError(
-                recording.name,
-                f'the tendon states do not name {name!r}; they name {listing(sorted(listed))}',
-                'use the robot description of the robot that was recorded',
-            )
+            others = listing(sorted(listed))
+            problem = f'the tendon states do not name {name!r}; they name {others}'
+            remedy = 'use the robot description of the robot that was recorded'
+            raise DataSetError(recording.name, problem, remedy)
         if kind == 'tension' and not np.isfinite(column).any():
             problem = f'the tension of {name!r} was not observed (effort is empty or NaN)'
             remedy = 'say input: displacement in a dataset.yaml and name it with --description'
@@ -317,11 +282,9 @@ def plausible_inputs(
         return [replace(one, inputs=np.maximum(one.inputs, 0.0)) for one in segments]
     for value in (inputs.min(), inputs.max()):
         if abs(value) > robot.length:
-            raise DataSetError(
-                bag,
-                f'a wire is pulled by {value:g} m, but the robot is only {robot.length:g} m long',
-                'give metres (are these mm?)',
-            )
+            long = f'the robot is only {robot.length:g} m long'
+            problem = f'a wire is pulled by {value:g} m, but {long}'
+            raise DataSetError(bag, problem, 'give metres (are these mm?)')
     return segments
 
 
@@ -365,8 +328,8 @@ def draw_segments(imported: Imported, path: str | Path) -> Path:
         middle = (one.begin + one.end) / 2
         above.text(middle, 1.01, name, transform=above.get_xaxis_transform(), **style)
     scale, label = (1.0, 'tension [N]') if data.input == 'tension' else (1e3, 'wire pull [mm]')
-    for name, values in zip(data.input_names, imported.inputs.T, strict=True):
-        below.plot(imported.state_times, scale * values, linewidth=0.9, label=name)
+    for name, values in zip(data.input_names, imported.recording.inputs.T, strict=True):
+        below.plot(imported.recording.state_times, scale * values, linewidth=0.9, label=name)
     below.set_ylabel(label)
     below.set_xlabel('time [s]')
     for axes in (above, below):
@@ -384,10 +347,8 @@ def summary(imported: Imported) -> str:
     """Summarise the import in one line."""
     trials = imported.dataset.trials
     each = f'{trials.min()}' if trials.min() == trials.max() else f'{trials.min()}..{trials.max()}'
-    return (
-        f'{len(imported.segments)} still segments: {len(trials)} postures x {each} trials x '
-        f'{len(imported.dataset.markers)} markers'
-    )
+    size = f'{len(trials)} postures x {each} trials x {len(imported.dataset.markers)} markers'
+    return f'{len(imported.segments)} still segments: {size}'
 
 
 DataSetLike = DataSet | HasDataSet | str | Path | Sequence['DataSet | HasDataSet | str | Path']
@@ -426,12 +387,9 @@ def load_dataset(data: DataSetLike, robot: RobotLike | None = None) -> DataSet:
     if other is None:
         return dataset
     if other.inputs != dataset.robot.inputs:
-        raise DataSetError(
-            dataset.name,
-            f'has the inputs {", ".join(dataset.robot.inputs)}, not {", ".join(other.inputs)} '
-            f'of {other.name}',
-            'name the robot that was measured',
-        )
+        own, given = (', '.join(one.inputs) for one in (dataset.robot, other))
+        problem = f'has the inputs {own}, not {given} of {other.name}'
+        raise DataSetError(dataset.name, problem, 'name the robot that was measured')
     return replace(dataset, robot=other)
 
 
@@ -484,6 +442,7 @@ def join(datasets: Sequence[DataSetLike]) -> DataSet:
     }
     turned = [d.orientations for d in sets if d.orientations is not None]
     by_trial = any(dataset.trial_inputs is not None for dataset in sets)
+    inputs_by_trial = [d.inputs_by_trial for d in sets] if by_trial else []
     pairs = zip(names, sets, strict=True)
     return replace(
         first,
@@ -492,9 +451,7 @@ def join(datasets: Sequence[DataSetLike]) -> DataSet:
         inputs=np.concatenate([d.inputs for d in sets]),
         positions=_stacked([d.positions for d in sets], len(trials)),
         orientations=_stacked(turned, len(trials)) if len(turned) == len(sets) else None,
-        trial_inputs=_stacked([d.inputs_by_trial for d in sets], len(trials))
-        if by_trial
-        else None,
+        trial_inputs=_stacked(inputs_by_trial, len(trials)) if by_trial else None,
         trial_names=trials,
         gravity=next((d.gravity for d in sets if d.gravity is not None), None),
         known={},

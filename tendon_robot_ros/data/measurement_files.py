@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,16 +11,9 @@ from ..common.arrays import Bools, Floats, Ints
 from ..common.errors import DataSetError
 from ..common.words import listing
 from ..robot import Robot
-from .arrays import (
-    PLAUSIBLE_FACTOR,
-    POSITION,
-    QUATERNION,
-    STRAIGHT,
-    VALUES_MAX,
-    mean_inputs,
-    too_tense,
-)
+from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, VALUES_MAX, mean_inputs, too_tense
 from .csv_file import NEEDED, CsvFile
+from .visits import STRAIGHT, Split, split_by_order, split_by_origin
 
 VISIT, ORIGIN = HISTORY = ('visit', 'previous')  # columns of the history of a posture
 
@@ -59,8 +53,7 @@ class Commands(CsvFile):
         check_history(self, visits)
         check_drums(self, robot)
         names = ('posture', 'trial') if 'trial' in self.header else ('posture',)
-        numbers = [name for name in (*robot.inputs, *drums, VISIT) if name in self.header]
-        self.read(names, numbers, [ORIGIN] if ORIGIN in self.header else [])
+        self.read(names, [ORIGIN] if ORIGIN in self.header else [])
         self.values = wound(self, robot)  # (R, m) [N] or [m], NaN = slack
         _check(self, self.values, robot, kind)
         self.visit = visits_of(self)  # (R,) order of the visits; None: not in the file
@@ -101,6 +94,23 @@ class Commands(CsvFile):
         values = np.full((len(self.postures), len(trials), self.values.shape[1]), np.nan)
         values[posture, self.translate('trial', trials)] = self.values
         return values
+
+    def by_history(self, trials: tuple[str, ...], seen: Bools) -> tuple[Split, Ints | None]:
+        """
+        Split the postures by the command before; return the trial (R,) of each row, too.
+
+        `seen` (P, Q) says in which trials a marker was visible; rows hold for all trials where
+        None is returned.
+        """
+        posture = self.codes['posture']
+        trial = None if self.trials is None else self.translate('trial', trials)
+        measured = seen.any(axis=1)[posture] if trial is None else seen[posture, trial]
+        if self.origin is not None:
+            return split_by_origin(self.postures, posture, self.origin, measured), trial
+        assert self.visit is not None and trial is not None
+        order = np.argsort(self.visit)
+        trial = trial[order]
+        return split_by_order(self.postures, posture[order], trial, measured[order]), trial
 
 
 def check_drums(file: CsvFile, robot: Robot) -> None:
@@ -162,11 +172,9 @@ def origins(file: CsvFile) -> Ints | None:
     postures, names = file.labels['posture'], file.labels[ORIGIN]
     origin = file.translate(ORIGIN, postures)
     unknown = (origin < 0) & np.array([name != '' for name in names])[file.codes[ORIGIN]]
-    file.refuse(
-        unknown,
-        f'previous is {file.label(int(unknown.argmax()), ORIGIN)!r}, which no row describes',
-        f'use one of {listing(postures)}, or leave it empty: from the straight arm',
-    )
+    problem = f'previous is {file.label(int(unknown.argmax()), ORIGIN)!r}, which no row describes'
+    remedy = f'use one of {listing(postures)}, or leave it empty: from the straight arm'
+    file.refuse(unknown, problem, remedy)
     return np.where(origin < 0, STRAIGHT, origin)
 
 
@@ -178,18 +186,13 @@ def _check(file: CsvFile, values: Floats, robot: Robot, kind: str) -> None:
             raise file.error(int(row) + 2, text, remedy)
 
     if kind == 'displacement':
-        refuse(
-            np.abs(values) > robot.length,
-            f'{{name}} is pulled by {{value:g}} m, but the robot is only {robot.length:g} m long',
-            'write metres (is it in mm?)',
-        )
+        long = f'the robot is only {robot.length:g} m long'
+        problem = f'{{name}} is pulled by {{value:g}} m, but {long}'
+        refuse(np.abs(values) > robot.length, problem, 'write metres (is it in mm?)')
         return
     limit = robot.tension_limits[1]
-    refuse(
-        np.isnan(values),
-        '{name} is empty',
-        'write 0 for a slack tendon (an empty cell means slack only with input: displacement)',
-    )
+    remedy = 'write 0 for a slack tendon (an empty cell means slack only with input: displacement)'
+    refuse(np.isnan(values), '{name} is empty', remedy)
     refuse(values < 0.0, '{name} is {value:g} N', 'a tendon cannot push: write 0 or more')
     beyond = values > PLAUSIBLE_FACTOR * limit
     if beyond.any():
@@ -200,11 +203,11 @@ KEYS = ('posture', 'trial', 'marker')
 Places = tuple[Ints, Ints, Bools, tuple[str, ...]]
 
 
-class Shapes:
+def read_shapes(
+    path: Path, robot: Robot, markers: tuple[str, ...], commands: Commands, sequence: bool
+) -> dict[str, Any]:
     """
-    The arrays of shapes.csv, checked, in the order of the postures of inputs.csv.
-
-    NaN where nothing was seen.
+    Read and check shapes.csv, in the order of the postures of inputs.csv.
 
     Parameters
     ----------
@@ -219,48 +222,41 @@ class Shapes:
     sequence : bool
         Every trial replays the postures in order: one may stand without a measurement.
 
+    Returns
+    -------
+    dict
+        The trials, positions and orientations of a `DataSet`, NaN where nothing was seen.
+
     Raises
     ------
     DataSetError
         With row and remedy.
 
     """
-
-    def __init__(
-        self,
-        path: Path,
-        robot: Robot,
-        markers: tuple[str, ...],
-        commands: Commands,
-        sequence: bool,
-    ) -> None:
-        required = (*KEYS, *POSITION)
-        missing = 'leave the cell empty where the marker was not seen'
-        file = CsvFile(path, required, (*required, *QUATERNION), missing)
-        turned = tuple(name for name in QUATERNION if name in file.header)
-        if turned and turned != QUATERNION:
-            problem = f'{", ".join(turned)} alone are no quaternion'
-            raise file.error(1, problem, f'write {", ".join(QUATERNION)}, or none of them')
-        file.read(KEYS, (*POSITION, *turned))
-        xyz = _positions(file, robot)
-        self.trials = trials = sort_trials(
-            (*file.labels['trial'], *(commands.trials or ()))
-        )  # (Q,)
-        posture = _known(file, 'posture', commands.postures, 'inputs.csv has no such posture')
-        marker = _known(file, 'marker', markers, 'dataset.yaml has no such marker')
-        trial = file.translate('trial', trials)
-        sizes = len(commands.postures), len(trials), len(markers)
-        if np.prod(sizes, dtype=float) > VALUES_MAX:
-            problem = '{} postures x {} trials x {} markers are too many'.format(*sizes)
-            raise DataSetError(str(path), problem, 'count the trials of every posture from 0')
-        visible = ~np.isnan(xyz[:, 0])
-        _check_trials(file, commands, (posture, trial, visible, trials), sequence)
-        self.positions = np.full((*sizes, 3), np.nan)  # (P, Q, J, 3) [m]
-        self.positions[posture, trial, marker] = xyz
-        self.orientations = None  # (P, Q, J, 4), unit quaternions
-        if turned:
-            self.orientations = np.full((*sizes, 4), np.nan)
-            self.orientations[posture, trial, marker] = _quaternions(file, visible)
+    required = (*KEYS, *POSITION)
+    missing = 'leave the cell empty where the marker was not seen'
+    file = CsvFile(path, required, (*required, *QUATERNION), missing)
+    turned = tuple(name for name in QUATERNION if name in file.header)
+    if turned and turned != QUATERNION:
+        problem = f'{", ".join(turned)} alone are no quaternion'
+        raise file.error(1, problem, f'write {", ".join(QUATERNION)}, or none of them')
+    file.read(KEYS)
+    xyz = _positions(file, robot)
+    trials = sort_trials((*file.labels['trial'], *(commands.trials or ())))
+    posture = _known(file, 'posture', commands.postures, 'inputs.csv has no such posture')
+    marker = _known(file, 'marker', markers, 'dataset.yaml has no such marker')
+    trial = file.translate('trial', trials)
+    sizes = len(commands.postures), len(trials), len(markers)
+    if np.prod(sizes, dtype=float) > VALUES_MAX:
+        problem = '{} postures x {} trials x {} markers are too many'.format(*sizes)
+        raise DataSetError(str(path), problem, 'count the trials of every posture from 0')
+    visible = ~np.isnan(xyz[:, 0])
+    _check_trials(file, commands, (posture, trial, visible, trials), sequence)
+    arrays = {'positions': xyz} | ({'orientations': _quaternions(file, visible)} if turned else {})
+    for key, rows in arrays.items():
+        arrays[key] = np.full((*sizes, rows.shape[1]), np.nan)
+        arrays[key][posture, trial, marker] = rows
+    return {'trial_names': trials, **arrays}
 
 
 def _known(file: CsvFile, key: str, known: tuple[str, ...], problem: str) -> Ints:
@@ -275,11 +271,8 @@ def _positions(file: CsvFile, robot: Robot) -> Floats:
     xyz = file.all_or_none(POSITION, 'only part of x, y, z is there', remedy)
     beyond = (np.abs(xyz) > PLAUSIBLE_FACTOR * robot.length).any(axis=1)
     far = np.abs(xyz[int(beyond.argmax())]).max()
-    file.refuse(
-        beyond,
-        f'the marker is {far:g} m away, but the robot is only {robot.length:g} m long',
-        'write metres in the base frame (are these mm?)',
-    )
+    problem = f'the marker is {far:g} m away, but the robot is only {robot.length:g} m long'
+    file.refuse(beyond, problem, 'write metres in the base frame (are these mm?)')
     return xyz
 
 
@@ -308,35 +301,23 @@ def _check_trials(file: CsvFile, commands: Commands, places: Places, sequence: b
         trial_rows = commands.translate('trial', trials)
         commanded = np.zeros_like(measured)
         commanded[rows, trial_rows] = True
-        refuse(
-            ~commanded[posture, trial],
-            'inputs.csv has no row for this trial',
-            'add its inputs there or remove its rows here',
-        )
+        remedy = 'add its inputs there or remove its rows here'
+        refuse(~commanded[posture, trial], 'inputs.csv has no row for this trial', remedy)
         is_measured = measured[rows, trial_rows]
     if not sequence:
-        row = int(is_measured.argmin())
-        commands.refuse(
-            ~is_measured,
-            f'{commands.name(row)}: {file.path.name} has no such measurement',
-            'add it there or remove this row',
-        )
+        name = commands.name(int(is_measured.argmin()))
+        problem = f'{name}: {file.path.name} has no such measurement'
+        commands.refuse(~is_measured, problem, 'add it there or remove this row')
 
 
 def _quaternions(file: CsvFile, visible: Bools) -> Floats:
     """Return unit quaternions, (n, 4)."""
     remedy = 'write qx, qy, qz and qw, or leave all four empty'
     q = file.all_or_none(QUATERNION, 'only part of the quaternion is there', remedy)
-    file.refuse(
-        np.isfinite(q[:, 0]) & ~visible,
-        'an orientation without a position',
-        'write x, y, z too, or leave the quaternion empty',
-    )
+    remedy = 'write x, y, z too, or leave the quaternion empty'
+    file.refuse(np.isfinite(q[:, 0]) & ~visible, 'an orientation without a position', remedy)
     norm = np.linalg.norm(q, axis=1)
     file.refuse(norm < 1e-6, 'the quaternion is zero', 'leave it empty where it is unknown')
-    file.refuse(
-        np.abs(norm - 1.0) > 0.05,
-        'the quaternion is not of length 1',
-        'write qx, qy, qz, qw of a unit quaternion, in this order',
-    )
+    remedy = 'write qx, qy, qz, qw of a unit quaternion, in this order'
+    file.refuse(np.abs(norm - 1.0) > 0.05, 'the quaternion is not of length 1', remedy)
     return q / norm[:, None]

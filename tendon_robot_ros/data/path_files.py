@@ -12,8 +12,8 @@ import numpy as np
 from ..common.arrays import Floats, interpolated
 from ..common.errors import DataSetError
 from ..common.rotations import angle_between, from_quaternion
-from .bag_reader import opened, stored, topic_of
-from .bag_writer import JOINT_STATE, POSE_STAMPED, joints_of, poses_of
+from .bag_reader import POSE_STAMPED, joints_of, opened, poses_of, stored, topic_of
+from .bag_writer import JOINT_STATE
 from .csv_file import CsvFile, csv_text
 
 PLACE, VIEW = ('x', 'y', 'z'), ('dx', 'dy', 'dz')
@@ -63,11 +63,10 @@ def read_path(path: str | Path, inputs: tuple[str, ...]) -> TipRows | TendonRows
     line = csv_text(path, NO_PATH).partition('\n')[0]
     if set(inputs) & {cell.strip(' "') for cell in line.split(',')}:
         columns = ('time', *inputs)
-        file = CsvFile(path, columns, columns, 'write a number', NO_PATH).read((), columns)
+        file = CsvFile(path, columns, columns, 'write a number', NO_PATH).read(())
         values = file.columns(inputs)
         return TendonRows(_times(file, values), values)
-    file = CsvFile(path, PLACE, ('time', *PLACE, *VIEW), missing, NO_PATH)
-    file.read((), file.header)
+    file = CsvFile(path, PLACE, ('time', *PLACE, *VIEW), missing, NO_PATH).read(())
     positions = file.columns(PLACE)
     times = _times(file, positions)
     directions = np.full((len(positions), 3), np.nan)

@@ -49,53 +49,46 @@ class ArmMotion:
     speed: Floats  # (G,) [m/s], inf where no marker was seen
     change: Floats  # (G,) [N] or [m], largest of the inputs
 
+    @classmethod
+    def of(cls, recording: Recording, rule: Rule) -> ArmMotion:
+        """
+        Compute speed and change of inputs; the rule gives the window.
 
-def motion(recording: Recording, inputs: Floats, rule: Rule) -> ArmMotion:
-    """
-    Compute speed and change of inputs.
+        Raises
+        ------
+        DataSetError
+            The recording is too long for so short a window.
 
-    Parameters
-    ----------
-    recording : Recording
-        Gives the markers and the times.
-    inputs : ndarray
-        (T, m) [N] or [m] at `recording.state_times`.
-    rule : Rule
-        Gives the window.
-
-    Raises
-    ------
-    DataSetError
-        The recording is too long for so short a window.
-
-    """
-    window = rule.duration / 2
-    ends = [track.times[[0, -1]] for track in recording.tracks]
-    start, end = min(e[0] for e in ends), max(e[1] for e in ends)
-    start = max(start, recording.state_times[0])  # what the inputs were before, nothing tells
-    size = sum(track.positions.shape[1] for track in recording.tracks)
-    if (end - start) / window * STEPS_PER_WINDOW * size > VALUES_MAX:
-        problem = f'{end - start:.0f} s are too long to look for {rule.duration:g} s of stillness'
-        remedy = 'ask for a longer duration or import a part of the recording'
-        raise DataSetError(recording.name, problem, remedy)
-    times = np.arange(start + window / 2, end - window / 2 + 1e-9, window / STEPS_PER_WINDOW)
-    half = window / 2
-    begin = np.concatenate([times - half, times])
-    speeds = []  # (G,) [m/s] of each marker; one by one, because a million frames fill the memory
-    for track in recording.tracks:
-        for j in range(track.positions.shape[1]):
-            means = sample_means(track.times, track.positions[:, j], begin, begin + half)
-            before, after = np.split(means, 2)
-            speeds.append(np.linalg.norm(after - before, axis=1) / half)
-    squares = np.stack(speeds, axis=1) ** 2  # (G, J)
-    valid = np.isfinite(squares)
-    mean = np.where(valid, squares, 0.0).sum(axis=1) / np.maximum(valid.sum(axis=1), 1)
-    before = held_means(recording.state_times, inputs, times - half, times)
-    after = held_means(recording.state_times, inputs, times, times + half)
-    slackened = np.isnan(before) != np.isnan(after)
-    changes = np.where(slackened, np.inf, np.nan_to_num(np.abs(after - before)))
-    speed = np.where(valid.any(axis=1), np.sqrt(mean), np.inf)
-    return ArmMotion(times, speed, changes.max(axis=1))
+        """
+        window = rule.duration / 2
+        ends = [track.times[[0, -1]] for track in recording.tracks]
+        start, end = min(e[0] for e in ends), max(e[1] for e in ends)
+        start = max(start, recording.state_times[0])  # what the inputs were before, nothing tells
+        size = sum(track.positions.shape[1] for track in recording.tracks)
+        if (end - start) / window * STEPS_PER_WINDOW * size > VALUES_MAX:
+            sought = f'{rule.duration:g} s of stillness'
+            problem = f'{end - start:.0f} s are too long to look for {sought}'
+            remedy = 'ask for a longer duration or import a part of the recording'
+            raise DataSetError(recording.name, problem, remedy)
+        times = np.arange(start + window / 2, end - window / 2 + 1e-9, window / STEPS_PER_WINDOW)
+        half = window / 2
+        begin = np.concatenate([times - half, times])
+        # (G,) [m/s] of each marker; one by one, because a million frames fill the memory
+        speeds = []
+        for track in recording.tracks:
+            for j in range(track.positions.shape[1]):
+                means = sample_means(track.times, track.positions[:, j], begin, begin + half)
+                before, after = np.split(means, 2)
+                speeds.append(np.linalg.norm(after - before, axis=1) / half)
+        squares = np.stack(speeds, axis=1) ** 2  # (G, J)
+        valid = np.isfinite(squares)
+        mean = np.where(valid, squares, 0.0).sum(axis=1) / np.maximum(valid.sum(axis=1), 1)
+        before = held_means(recording.state_times, recording.inputs, times - half, times)
+        after = held_means(recording.state_times, recording.inputs, times, times + half)
+        slackened = np.isnan(before) != np.isnan(after)
+        changes = np.where(slackened, np.inf, np.nan_to_num(np.abs(after - before)))
+        speed = np.where(valid.any(axis=1), np.sqrt(mean), np.inf)
+        return cls(times, speed, changes.max(axis=1))
 
 
 def never_still(
@@ -115,10 +108,8 @@ def never_still(
     if lasts < duration:
         problem = f'lasts {lasts:.3g} s, and the arm counts as still after {duration:g} s'
     elif duration < shortest:
-        problem = (
-            f'holds a place every {0.25 * shortest:.2g} s, too few to see in {duration:g} s '
-            'whether the arm stands still'
-        )
+        few = f'too few to see in {duration:g} s whether the arm stands still'
+        problem = f'holds a place every {0.25 * shortest:.2g} s, {few}'
         remedy = f'ask for a duration of {2.0 * shortest:.2g} or more'
     elif not any(len(moved.times) for moved in motions):
         problem = 'inputs and markers are hardly recorded at the same time'
@@ -133,10 +124,8 @@ def never_still(
         )
         remedy += ', or a higher speed where noise looks like one'
     else:
-        problem = (
-            f'the arm is never slower than {limit:g} mm/s for {duration:g} s (at its slowest '
-            f'moment {slowest:.2g} mm/s)'
-        )
+        moment = f'at its slowest moment {slowest:.2g} mm/s'
+        problem = f'the arm is never slower than {limit:g} mm/s for {duration:g} s ({moment})'
         remedy = 'allow a higher speed or a shorter duration'
     return DataSetError(name, problem, remedy)
 
@@ -158,9 +147,8 @@ def still_stretches(
         one that is a little too short will do.
 
     """
-    shortest = (
-        rule.duration / 2 if cuts is None else rule.duration / 4
-    )  # and half a window per end
+    # [s] and half a window per end
+    shortest = rule.duration / 2 if cuts is None else rule.duration / 4
     still = (moved.speed < rule.speed) & (moved.change < (rule.change or np.inf))
     part = 0 if cuts is None else np.searchsorted(cuts, moved.times, side='right')
     run = np.cumsum(np.diff(still * (part + 1), prepend=0) != 0)  # counts up where a run begins
@@ -225,7 +213,7 @@ class Segment:
 
 
 def find_segments(
-    recording: Recording, inputs: Floats, moved: ArmMotion, rule: Rule, sequence: bool
+    recording: Recording, moved: ArmMotion, rule: Rule, sequence: bool
 ) -> tuple[list[Segment], list[str]]:
     """
     Return the measurements of a recording, and a line for each one that is excluded.
@@ -233,9 +221,7 @@ def find_segments(
     Parameters
     ----------
     recording : Recording
-        Gives the markers, and the labels if there are any.
-    inputs : ndarray
-        (T, m) [N] or [m] at `recording.state_times`.
+        Gives the markers and the inputs, and the labels if there are any.
     moved : ArmMotion
         Speed and change of inputs.
     rule : Rule
@@ -245,7 +231,7 @@ def find_segments(
 
     """
     if not any(text for _, text in recording.labels):
-        averages = [_average(recording, inputs, *part) for part in still_stretches(moved, rule)]
+        averages = [_average(recording, *part) for part in still_stretches(moved, rule)]
         return name_segments(averages, rule, sequence), []
     segments, excluded = [], []
     ends = [time for time, _ in recording.labels[1:]] + [np.inf]
@@ -262,11 +248,11 @@ def find_segments(
         inside = [part for part in stretches if begin <= part[0] and part[1] <= end]
         if inside:
             longest = max(inside, key=lambda part: part[1] - part[0])
-            one = _average(recording, inputs, *longest)
+            one = _average(recording, *longest)
         elif sequence:
-            one = _average(recording, inputs, begin, end - 1e-6)  # only its inputs are known
-            nothing = np.full_like(one.positions, np.nan), np.full_like(one.orientations, np.nan)
-            one = replace(one, positions=nothing[0], orientations=nothing[1])
+            one = _average(recording, begin, end - 1e-6)  # only its inputs are known
+            positions, orientations = np.nan * one.positions, np.nan * one.orientations
+            one = replace(one, positions=positions, orientations=orientations)
         else:
             excluded.append(f'posture {posture}, trial {trial}: the arm did not stand still')
             continue
@@ -274,7 +260,7 @@ def find_segments(
     return segments, excluded
 
 
-def _average(recording: Recording, inputs: Floats, begin: float, end: float) -> Segment:
+def _average(recording: Recording, begin: float, end: float) -> Segment:
     """Average over a stretch of time."""
     first, last = np.array([begin]), np.array([end])
     positions, orientations, noise = [], [], []
@@ -288,14 +274,10 @@ def _average(recording: Recording, inputs: Floats, begin: float, end: float) -> 
         noise.append(_noise(frames))
     first_state, end_state = np.searchsorted(recording.state_times, [begin - 1e-9, end + 1e-9])
     near = slice(max(int(first_state) - 1, 0), max(int(end_state), 1))  # and the last state before
-    return Segment(
-        begin,
-        end,
-        held_means(recording.state_times[near], inputs[near], first, last)[0].round(DIGITS),
-        np.concatenate(positions).round(DIGITS),
-        np.concatenate(orientations),
-        float(np.sqrt(np.mean(np.square(noise)))),
-    )
+    (inputs,) = held_means(recording.state_times[near], recording.inputs[near], first, last)
+    places, turned = np.concatenate(positions).round(DIGITS), np.concatenate(orientations)
+    rms = float(np.sqrt(np.mean(np.square(noise))))
+    return Segment(begin, end, inputs.round(DIGITS), places, turned, rms)
 
 
 def _noise(positions: Floats) -> float:
@@ -358,11 +340,7 @@ def frame_noise(segments: Sequence[Segment]) -> float | None:
 
 
 def segments_dataset(
-    bag: str,
-    segments: Sequence[Segment],
-    robot: Robot,
-    markers: tuple[Marker, ...],
-    **values: Any,
+    bag: str, segments: Sequence[Segment], robot: Robot, markers: tuple[Marker, ...], **values: Any
 ) -> DataSet:
     """
     Return the data set of named segments; without trials, the noise is that of the frames.
@@ -383,13 +361,10 @@ def segments_dataset(
     np.add.at(filled, at, 1)
     if filled.max() > 1:
         twice = int((filled[at] > 1).argmax())
-        raise DataSetError(
-            bag,
-            f'posture {segments[twice].posture!r}, trial {segments[twice].trial!r} is labelled '
-            'twice',
-            'record it again with labels that differ',
-        )
-    arrays: dict[str, Any] = {}
+        named = f'posture {segments[twice].posture!r}, trial {segments[twice].trial!r}'
+        remedy = 'record it again with labels that differ'
+        raise DataSetError(bag, f'{named} is labelled twice', remedy)
+    arrays: dict[str, Any] = {'trial_names': trials}
     for key in ('inputs', *READINGS):
         rows = np.array([getattr(one, key) for one in segments])
         arrays[key] = np.full((*size, *rows.shape[1:]), np.nan)
@@ -401,13 +376,4 @@ def segments_dataset(
         del arrays['orientations']
     if values.get('position_noise') is None and len(trials) == 1:
         values['position_noise'] = frame_noise(segments)
-    return DataSet(
-        name=bag,
-        robot=robot,
-        markers=markers,
-        postures=postures,
-        trial_names=trials,
-        inputs=mean.round(DIGITS),
-        **arrays,
-        **values,
-    )
+    return DataSet(bag, robot, markers, postures, mean.round(DIGITS), **arrays, **values)

@@ -37,39 +37,25 @@ WHY = {
 }
 
 
-def is_missing(places: Floats, far: float = UNSEEN_M) -> Bools:
-    """
-    Return which positions (..., 3) are no marker: not finite, 0 0 0, or too far away.
-
-    Parameters
-    ----------
-    places : (..., 3)
-        In metres, or in a unit in which `UNSEEN_M` is `far`.
-    far : float
-
-    """
+def is_missing(places: Floats) -> Bools:
+    """Return which positions (..., 3) [m] are no marker: not finite, 0 0 0, or too far away."""
     with np.errstate(invalid='ignore'):
-        within = (np.abs(places) < far).all(axis=-1)  # False for NaN
+        within = (np.abs(places) < UNSEEN_M).all(axis=-1)  # False for NaN
     return np.asarray(~within | (places == 0.0).all(axis=-1))
 
 
 def without_unseen(
-    positions: Floats,
-    length: float | None,
-    far: float = UNSEEN_M,
-    news: Bools | None = None,
+    positions: Floats, length: float | None, news: Bools | None = None
 ) -> tuple[Floats, dict[str, Ints]]:
     """
     Replace invalid readings by NaN, and count them by reason.
 
     Parameters
     ----------
-    positions : (T, J, 3)
-        Frames of J markers, in metres or another unit.
-    length : float or None
-        Of the arm in the same unit; None: the unit is not known yet.
-    far : float
-        1 km in the same unit.
+    positions : (T, J, 3) [m]
+        Frames of J markers.
+    length : float or None [m]
+        Of the arm; None: the unit of the positions is not known yet.
     news : (T - 1,), optional
         At which steps from frame to frame markers changed that are not among these.
 
@@ -81,7 +67,7 @@ def without_unseen(
 
     """
     numbers = np.isfinite(positions).all(axis=2)
-    none = is_missing(positions, far)
+    none = is_missing(positions)
     zero = numbers & (positions == 0.0).all(axis=2)
     cleaned = np.where(none[..., None], np.nan, positions)
     sentinel = (numbers & none & ~zero) | _is_sentinel(cleaned, length)
@@ -254,10 +240,8 @@ def exchange_lines(
     for pair in dict.fromkeys((i, j) for _, i, j in exchanges):
         frames = [frame for frame, *two in exchanges if tuple(two) == pair]
         more = f' and {len(frames) - 1} times more' if len(frames) > 1 else ''
-        lines.append(
-            f'{names[pair[0]]} and {names[pair[1]]} exchange their names at '
-            f'{times[frames[0]]:.2f} s{more}: put back to what they are before'
-        )
+        when = f'at {times[frames[0]]:.2f} s{more}: put back to what they are before'
+        lines.append(f'{names[pair[0]]} and {names[pair[1]]} exchange their names {when}')
     return lines
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from ..common.errors import EffectError, TendonRobotError
 from ..data import DataSet, Part
-from ..data.arrays import Visits
+from ..data.visits import Visits
 from ..effects import Catalogue, Effect, Parameter
 from ..model.derivatives import (
     DIFFERENCE_STEP,

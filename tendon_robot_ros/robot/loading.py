@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-import yaml
 
 from ..common.errors import InputError, RobotDescriptionError, refusal, suggestion
 from ..common.files import read_text, shared_file
-from ..common.yaml_reading import Reader
+from ..common.yaml_reading import Reader, dump_yaml
 from .description import DESCRIPTION_MAX, Robot, Section, Tendon, check_robot, parse_robot
 
 PATH_MAX = os.pathconf(os.sep, 'PC_PATH_MAX')  # a longer text is a description
@@ -121,8 +120,7 @@ def dump_robot(robot: RobotLike) -> str:
         value = getattr(robot, key)
         if key == 'effects' or value != getattr(usual, key):
             content[key] = value
-    plain = _plain(content)
-    return yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    return dump_yaml(_plain(content))
 
 
 def section_to_yaml(section: Section) -> dict[str, Any]:

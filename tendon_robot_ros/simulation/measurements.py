@@ -20,8 +20,9 @@ from ..common.errors import Progress, choice, listener, names, number, refusal, 
 from ..common.files import new_file
 from ..common.rotations import about, towards
 from ..data import DataSet, Marker, default_markers
-from ..data.arrays import markers_of, split_by_order
+from ..data.arrays import markers_of
 from ..data.dataset import INPUTS, PATHS
+from ..data.visits import split_by_order
 from ..robot import RobotLike
 from ..robot.inputs import input_rows
 from .plant import Plant, make_plant

@@ -137,7 +137,7 @@ def read_slip_angles(path: str | Path) -> tuple[tuple[str, ...], Floats]:
     """
     remedy = f'name a CSV file with the columns {", ".join(COLUMNS)}'
     file = CsvFile(Path(path), COLUMNS, COLUMNS, 'leave the row out', remedy)
-    degrees = file.read(COLUMNS[:1], COLUMNS[1:]).numbers['angle_deg']
+    degrees = file.read(COLUMNS[:1]).numbers['angle_deg']
     for i in np.flatnonzero(~((degrees > 0.0) & (degrees < 90.0))):
         remedy = 'write the slip angle in degrees, between 0 and 90'
         raise file.error(int(i) + 2, f'angle_deg is {degrees[i]:g}', remedy)

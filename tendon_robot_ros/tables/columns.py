@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..common.arrays import Floats
 from ..common.errors import DataSetError, short
-from ..common.words import Unit, find_unit, listing, split_name
+from ..common.words import Unit, find_unit, split_name
 
 # [1] times what is usual, because what is more is something else: motion, or another marker
 UNUSUAL_FACTOR = 10.0
@@ -97,11 +97,8 @@ class RawTable:
             return values
         for row, text in enumerate(values):
             if text not in MISSING and not is_number(text):
-                raise DataSetError(
-                    self.where(row),
-                    f'{column} is {short(text)}',
-                    f'expected {expected}, or an empty cell where there is none',
-                )
+                remedy = f'expected {expected}, or an empty cell where there is none'
+                raise DataSetError(self.where(row), f'{column} is {short(text)}', remedy)
         return np.array([float(text) if text not in MISSING else np.nan for text in values])
 
 
@@ -194,14 +191,6 @@ KINDS: dict[str, set[str]] = {
 
 
 @dataclass(frozen=True)
-class ColumnUse:
-    """A selected column and its unit; '' if the unit is unknown."""
-
-    column: str
-    unit: str
-
-
-@dataclass(frozen=True)
 class ColumnName:
     """The name of a column, split into words and a unit."""
 
@@ -261,14 +250,14 @@ def names_of(table: RawTable) -> list[ColumnName]:
     return parsed
 
 
-def guess_time(names: Sequence[ColumnName]) -> ColumnUse | None:
+def guess_time(names: Sequence[ColumnName]) -> ColumnName | None:
     """Return the column of times, None where there is none."""
     known = [name for name in names if name.unit is None or name.unit.kind == 'time']
     exact = [name for name in known if name.words in (('t',), *((word,) for word in TIMES))]
     for name in (*exact, *known):
         begins = name.unit is not None and name.words[:1] == ('t',)
         if name in exact or begins or TIMES & set(name.words):
-            return ColumnUse(name.column, '' if name.unit is None else name.unit.text)
+            return name
     return None
 
 
@@ -317,12 +306,11 @@ def marker_label(columns: Sequence[str]) -> str:
     return ' '.join(words[0] for words in alike) or columns[0]
 
 
-InputGuess = tuple[dict[str, ColumnUse], str]  # input -> column, and why
-
-
-def guess_inputs(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess | None:
+def guess_inputs(
+    names: Sequence[ColumnName], inputs: Sequence[str]
+) -> tuple[list[ColumnName], str] | None:
     """
-    Return the column of every input of a robot, and why; None if one of them is missing.
+    Return the columns of the inputs of a robot, and why; None if one of them is missing.
 
     Tensions are preferred to wire pulls, these to angles and currents of motors, and measured
     values to commanded ones.
@@ -334,49 +322,36 @@ def guess_inputs(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGue
                 groups.setdefault(tuple(sorted(COMMANDED & set(name.words))), []).append(name)
         for group in sorted(groups):  # without such a word first: measured
             own = groups[group]
-            if (guess := _by_name(own, inputs) or _by_number(own, inputs)) is not None:
-                return guess
+            if named := _by_name(own, inputs):
+                return named, 'its name'
+            if numbered := _by_number(own, inputs):
+                return numbered, "its number, in the order of the robot's inputs"
             if len(own) == len(inputs):
-                return _guess(own, inputs, "its place, in the order of the robot's inputs")
-    named = [name for name in names if name.unit is None and not name.axis]
-    return _by_name(named, inputs)
+                return own, "its place, in the order of the robot's inputs"
+    named = _by_name([name for name in names if name.unit is None and not name.axis], inputs)
+    return (named, 'its name') if named else None
 
 
-def _guess(columns: Sequence[ColumnName], inputs: Sequence[str], reason: str) -> InputGuess:
-    uses = [ColumnUse(n.column, '' if n.unit is None else n.unit.text) for n in columns]
-    return dict(zip(inputs, uses, strict=True)), reason
-
-
-def _by_name(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess | None:
-    """Assign each input to the one column whose name contains the name of the input."""
+def _by_name(names: Sequence[ColumnName], inputs: Sequence[str]) -> list[ColumnName]:
+    """Return for each input the one column whose name contains that of the input; else none."""
     columns = []
     for name in inputs:
         words = words_of(name)
         exact = [n for n in names if n.words == words]
         matches = exact or [n for n in names if set(words) <= set(n.words)]
         if len(matches) != 1:
-            return None
+            return []
         columns.append(matches[0])
-    return _guess(columns, inputs, 'its name') if len(set(columns)) == len(columns) else None
+    return columns if len(set(columns)) == len(columns) else []
 
 
-def _by_number(names: Sequence[ColumnName], inputs: Sequence[str]) -> InputGuess | None:
-    """Assign columns whose names differ only in a number, in the order of these numbers."""
+def _by_number(names: Sequence[ColumnName], inputs: Sequence[str]) -> list[ColumnName]:
+    """Return columns whose names differ only in a number, in the order of these numbers."""
     stems: dict[tuple[str, ...], dict[int, ColumnName]] = {}
     for name in names:
         numbers = [word for word in name.words if word.isdigit()]
         if len(numbers) == 1:
             stem = tuple(word for word in name.words if word != numbers[0])
             stems.setdefault(stem, {})[int(numbers[0])] = name
-    for alike in stems.values():
-        if len(alike) == len(inputs):
-            order = [alike[number] for number in sorted(alike)]
-            return _guess(order, inputs, "its number, in the order of the robot's inputs")
-    return None
-
-
-def need_column(tables: Sequence[RawTable], column: str, option: str) -> None:
-    """Raise DataSetError where no table has a column; with the names that the first one has."""
-    if not any(table.holds(column) for table in tables):
-        problem = f'no column {column!r} ({option})'
-        raise DataSetError(tables[0].name, problem, f'use one of {listing(tables[0].columns)}')
+    alike = next((one for one in stems.values() if len(one) == len(inputs)), {})
+    return [alike[number] for number in sorted(alike)]

@@ -63,6 +63,7 @@ class Maker:
     unit: str = ''  # default unit of length
 
 
+UNKNOWN = Maker('', ())
 MAKERS = (
     Maker('OptiTrack', ('format version', 'take name'), up='y'),
     Maker('Vicon', tuple(VICON), up='z', unit='mm'),
@@ -131,7 +132,8 @@ class Head:
         Of the columns.
     units, kinds : dict of str
         By column: its unit, and what its point is.
-    maker : Maker or None
+    maker : Maker
+        `UNKNOWN` where no system is recognised.
     title : str
         Of a part of the file.
     rate : float or None [Hz]
@@ -148,7 +150,6 @@ class Head:
     def __init__(self, shown: str, first: int, rows: Sequence[Row], width: int) -> None:
         rows = [row for row in rows if any(row)]
         self.maker = maker = maker_of(rows)
-        system = '' if maker is None else maker.name
         marked = [row for row in rows if row[0][:1] in ('#', '%')]
         labels = [row for row in rows if row not in marked and row[0].lower() not in NO_NAMES]
         if not labels:  # as numpy writes it
@@ -156,9 +157,9 @@ class Head:
             labels = [row for row in bare[-1:] if len(row) == width]
         values_by_word = _values_by_word(rows)
         self.title = ''
-        if system == 'Vicon':
+        if maker.name == 'Vicon':
             self.title = next(row[0] for row in rows if row[0].lower() in VICON)
-        if system == 'Qualisys':
+        if maker.name == 'Qualisys':
             keys = {row[0]: row[1:] for row in labels if re.fullmatch(r'[A-Z][A-Z_]+', row[0])}
             labels = [row for row in labels if row[0] not in keys]
             labels = labels or [_qualisys_names(shown, keys, width)]
@@ -174,14 +175,12 @@ class Head:
         self.names, self.kinds = _names(shown, row, labels, width, maker, self.title)
         padded = zip(self.names, _padded(units_row, width), strict=True)
         self.units = {name: unit for name, unit in padded if unit}
-        length = _first(values_by_word, LENGTHS, find_unit) or (
-            '' if maker is None else maker.unit
-        )
+        length = _first(values_by_word, LENGTHS, find_unit) or maker.unit
         if length and (unit := find_unit(length)) and unit.kind == 'length' and not units_row:
             places = [n for n in self.names if self.kinds.get(n, DERIVED) != DERIVED]
             self.units |= dict.fromkeys(places, unit.text)
         rate = _first(values_by_word, RATES, is_value)
-        if system == 'Vicon':
+        if maker.name == 'Vicon':
             alone = (row[0] for row in rows if len(_filled(row)) == 1 and is_value(row[0]))
             rate = next(alone, '')
         self.rate = float(rate.replace(',', '.')) or None if rate else None
@@ -189,10 +188,10 @@ class Head:
         self.frames = int(frames) if frames else None
 
 
-def maker_of(rows: Sequence[Row]) -> Maker | None:
-    """Return the system whose exports have such a header, None if it is unknown."""
+def maker_of(rows: Sequence[Row]) -> Maker:
+    """Return the system whose exports have such a header, `UNKNOWN` for none."""
     begins = {cell.lower().rstrip(':') for row in rows for cell in row[:3:2] if cell}
-    return next((maker for maker in MAKERS if begins & set(maker.head_words)), None)
+    return next((maker for maker in MAKERS if begins & set(maker.head_words)), UNKNOWN)
 
 
 def _values_by_word(rows: Sequence[Row]) -> dict[str, list[str]]:
@@ -219,11 +218,11 @@ def _padded(row: Row, width: int) -> Row:
     return [*row, *([''] * width)][:width]
 
 
-def unnamed(shown: str, row: int, maker: Maker | None) -> DataSetError:
+def unnamed(shown: str, row: int, maker: Maker) -> DataSetError:
     """Build the error for a table whose columns have no names."""
     problem = 'is no header, it holds numbers'
     remedy = 'start the file with the names of the columns'
-    if maker is not None:
+    if maker.name:
         problem = f'is an export of {maker.name} without rows that name the points'
         remedy = 'export it again with its header rows'
     return DataSetError(f'{shown}, row {row}', problem, remedy)
@@ -236,21 +235,19 @@ def _qualisys_names(shown: str, keys: Mapping[str, Row], width: int) -> Row:
     while before > 2:  # a tab at the end of every row
         before -= 1
     if not markers or before < 0:
-        raise DataSetError(
-            shown,
-            f'is an export of Qualisys whose MARKER_NAMES ({len(markers)}) do not fit to its '
-            f'{width} columns',
-            'export 3D data from QTM as TSV with the TSV header, or as C3D',
-        )
+        named = f'MARKER_NAMES ({len(markers)})'
+        problem = f'is an export of Qualisys whose {named} do not fit to its {width} columns'
+        remedy = 'export 3D data from QTM as TSV with the TSV header, or as C3D'
+        raise DataSetError(shown, problem, remedy)
     places = [f'{marker} {axis}' for marker in markers for axis in 'XYZ']
     return [*('Frame', 'Time')[:before], *places]
 
 
 def _names(
-    shown: str, row: int, labels: Sequence[Row], width: int, maker: Maker | None, title: str
+    shown: str, row: int, labels: Sequence[Row], width: int, maker: Maker, title: str
 ) -> tuple[list[str], dict[str, str]]:
     """Return a name for each column, and the kind of point of the columns of points."""
-    tracked = maker is not None
+    tracked = bool(maker.name)
     types, quantities, owners, axes, above = _sorted_labels(labels, width, tracked, title)
     names: list[str] = []
     for i in range(width):

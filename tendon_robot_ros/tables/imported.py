@@ -150,11 +150,8 @@ class ImportedTable(TextResult):
 
     def text(self) -> str:
         """List the columns in use, exclusions, assumptions and the tracker's frame."""
-        lines = [
-            f'{self.dataset.robot.name} from {self.source}',
-            columns_table(self.recipe, self.taken),
-            '',
-        ]
+        table = columns_table(self.recipe, self.taken)
+        lines = [f'{self.dataset.robot.name} from {self.source}', table, '']
         lines += labelled_lines('taken', [measurement_line(self.dataset, self.measured)])
         lines += labelled_lines('dropped', self.dropped)
         lines += labelled_lines('assumed', self.assumed)
@@ -178,14 +175,13 @@ class ImportedTable(TextResult):
                 axes.broken_barh(spans, (0.0, 1.0), transform=across, **style)
 
     def _draw_inputs(self, axes: Axes) -> None:
-        unit, scale = (
-            ('tension [N]', 1.0) if self.dataset.input == 'tension' else ('wire pull [mm]', 1e3)
-        )
+        is_tension = self.dataset.input == 'tension'
+        unit, scale = ('tension [N]', 1.0) if is_tension else ('wire pull [mm]', 1e3)
         for begin, piece in self._pieces():
             part = _thinned(axes, piece.recording.state_times)
             axes.set_prop_cycle(color=COLOURS)
             times = begin + piece.recording.state_times[part]
-            lines = axes.plot(times, scale * piece.inputs[part], linewidth=1.0)
+            lines = axes.plot(times, scale * piece.recording.inputs[part], linewidth=1.0)
         place: Any = {'loc': 'lower left', 'bbox_to_anchor': (0.0, 1.0)}  # above
         axes.legend(lines, self.dataset.input_names, ncols=4, borderpad=0.0, **place)
         self._shade(axes)
@@ -282,17 +278,12 @@ def frame_lines(frame: TrackerFrame, robot: Robot) -> list[str]:
     shift = ', '.join(f'{1e3 * x:.1f}' for x in frame.shift)
     angle = np.degrees(rotation_angle(frame.rotation))
     straight = '' if frame.straight is None else f', {mm(frame.straight)} where it is straight'
-    lines = [
-        METHODS[frame.method],
-        f'turned by {angle:.1f}°, shifted by {shift} mm; off the model as described by '
-        f'{mm(frame.residual)} rms{straight}',
-    ]
+    off = f'off the model as described by {mm(frame.residual)} rms{straight}'
+    lines = [METHODS[frame.method], f'turned by {angle:.1f}°, shifted by {shift} mm; {off}']
     if frame.method != 'base':
         position, rotation = robot.tolerances['position'], robot.tolerances['rotation']
-        lines.append(
-            f'known to {mm(position, 2)} and {np.degrees(rotation):.2g}° (tolerances in '
-            'robot.yaml): within that a diagnosis moves it'
-        )
+        known = f'known to {mm(position, 2)} and {np.degrees(rotation):.2g}°'
+        lines.append(f'{known} (tolerances in robot.yaml): within that a diagnosis moves it')
     return lines
 
 

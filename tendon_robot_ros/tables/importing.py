@@ -14,26 +14,19 @@ from ..common.arrays import Floats
 from ..common.errors import DataSetError, Progress, listener, refusal
 from ..common.words import listed, listing, mm
 from ..data import DataSet, Marker
-from ..data.arrays import split_by_order
 from ..data.still_segments import Segment, frame_noise, rows_of, segments_dataset
+from ..data.visits import split_by_order
 from ..effects import Catalogue, CatalogueLike, load_catalogue
 from ..inference.noise import input_effect, input_slopes
 from ..inference.predict import Predictor
-from ..robot import Robot, RobotLike, load_robot
+from ..robot import RobotLike, load_robot
 from ..robot.estimates import TRACKER_NOISE_M
 from .columns import RawTable, marker_label, table_of
 from .imported import ImportedTable
 from .markers import AS_GIVEN, MarkerOrder, flag_columns, order_markers, places_contradicted
 from .measuring import FROM_STRAIGHT, SEQUENCE, VISITS, StillMeasurements
 from .reading import read_tables, widened
-from .recipe import (
-    FrameChoice,
-    MarkerColumns,
-    Recipe,
-    Selection,
-    Stillness,
-    as_recipe,
-)
+from .recipe import FrameChoice, MarkerColumns, Recipe, Selection, Stillness, as_recipe
 from .registration import Placed, rotation_vector, side_offset, up_that_fits
 from .traces import follow_renumbered, make_traces
 
@@ -74,11 +67,8 @@ def import_table(
     recipe = as_recipe(recipe)
     named = recipe.robot if robot is None else robot
     if named is None:
-        raise DataSetError(
-            'robot',
-            'none is named',
-            'describe the arm with `robot new`, then say --robot arm.yaml',
-        )
+        remedy = 'describe the arm with `robot new`, then say --robot arm.yaml'
+        raise DataSetError('robot', 'none is named', remedy)
     robot = load_robot(named)
     show('reading the tables', 0, 4)
     tables = _tables(source, recipe)
@@ -92,8 +82,8 @@ def import_table(
     # parts of a file without any column in use are excluded
     used = [t for t in tables if not t.part or columns & t.columns.keys()]
     show('looking where the arm stood still', 1, 4)
-    follow_renumbered(used, chosen, robot.length)
-    measured = StillMeasurements(make_traces(used, chosen, robot.length), chosen, robot)
+    follow_renumbered(used, chosen)
+    measured = StillMeasurements(make_traces(used, chosen), chosen)
     name = tables[0].name
     places = [marker.arc_length for marker in chosen.recipe.markers or ()]
     if None in places or not places:
@@ -102,13 +92,13 @@ def import_table(
     else:  # the recipe gives their arc lengths
         arc_lengths = tuple(place for place in places if place is not None)
         order = MarkerOrder(tuple(range(len(places))), arc_lengths, AS_GIVEN)
-    raw, markers = _in_tracker_frame(measured, chosen, order, robot, name)
+    raw, markers = _in_tracker_frame(measured, chosen, order, name)
     show('laying the frame of the tracker', 2, 4)
     catalogue = load_catalogue(catalogue)
     up_assumed: list[str] = []
     if not is_up_given:
         predictor = Predictor(raw, robot, catalogue)
-        up, up_assumed = up_that_fits(raw, predictor, chosen.recipe.frame, recipe.up)
+        up, up_assumed = up_that_fits(predictor, chosen.recipe.frame, recipe.up)
         chosen.recipe = replace(chosen.recipe, up=up)
     placed = Placed(raw, chosen.recipe, catalogue)
     final, frame = placed.dataset, placed.frame
@@ -117,6 +107,7 @@ def import_table(
     predicted = predictor.markers({})
     assert predicted is not None  # this robot had equilibria in these postures above
     final, predicted = _without_empty(final, predicted)
+    sizes = [f'{t.name} ({len(t):,} rows of {len(t.columns)} columns)' for t in tables]
     return ImportedTable(
         dataset=final,
         recipe=_written_out(chosen.recipe, tables, markers, measured, placed),
@@ -124,9 +115,7 @@ def import_table(
         measured=measured,
         order=order,
         frame=frame,
-        source=', '.join(
-            f'{t.name} ({len(t):,} rows of {len(t.columns)} columns)' for t in tables
-        ),
+        source=', '.join(sizes),
         predicted=predicted,
         dropped=(*_columns_dropped(chosen, tables), *measured.dropped, *placed.dropped),
         assumed=(
@@ -195,19 +184,14 @@ def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
 
 
 def _in_tracker_frame(
-    measured: StillMeasurements, chosen: Selection, order: MarkerOrder, robot: Robot, name: str
+    measured: StillMeasurements, chosen: Selection, order: MarkerOrder, name: str
 ) -> tuple[DataSet, tuple[MarkerColumns, ...]]:
     """Assemble the segments to a data set; positions stay in the tracker's frame."""
     known = chosen.recipe.markers or ()
-    markers = tuple(
-        replace(
-            known[j],
-            name=known[j].name or str(i + 1),
-            arc_length=arc_length,
-            offset=chosen.recipe.offset or known[j].offset,
-        )
-        for i, (j, arc_length) in enumerate(zip(order.members, order.arc_lengths, strict=True))
-    )
+    markers = []
+    for i, (j, arc_length) in enumerate(zip(order.members, order.arc_lengths, strict=True)):
+        label, offset = known[j].name or str(i + 1), chosen.recipe.offset or known[j].offset
+        markers.append(replace(known[j], name=label, arc_length=arc_length, offset=offset))
     placed = tuple(
         Marker(m.name or '', m.arc_length or 0.0, m.offset or (0.0, 0.0, 0.0)) for m in markers
     )
@@ -217,10 +201,11 @@ def _in_tracker_frame(
         for one in measured.segments
     ]
     path = SEQUENCE if chosen.recipe.path == VISITS else chosen.recipe.path
-    dataset = segments_dataset(name, segments, robot, placed, input=chosen.kind, path=path)
+    kind, robot = chosen.kind, chosen.robot
+    dataset = segments_dataset(name, segments, robot, placed, input=kind, path=path)
     if chosen.recipe.path == VISITS:
         dataset = as_visits(dataset, segments, measured.begins)
-    return dataset, markers
+    return dataset, tuple(markers)
 
 
 def _columns_dropped(chosen: Selection, tables: Sequence[RawTable]) -> list[str]:

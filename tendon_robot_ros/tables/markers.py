@@ -90,12 +90,10 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
     places = [t for t in triples.values() if not t.quantity and t.kind != DERIVED]
     others = [t for t in triples.values() if t.quantity or t.kind == DERIVED]
     if not places:
-        raise DataSetError(
-            tables[0].name,
-            'no columns of a marker are recognised'
-            + (f': {listed(_by_quantity(others))} are no measured places' if others else ''),
-            'name them alike but for the axis, such as tip_x, tip_y, tip_z',
-        )
+        unfit = f': {listed(_by_quantity(others))} are no measured places' if others else ''
+        problem = f'no columns of a marker are recognised{unfit}'
+        remedy = 'name them alike but for the axis, such as tip_x, tip_y, tip_z'
+        raise DataSetError(tables[0].name, problem, remedy)
     nameless = [t for t in places if t.columns[0].startswith('*') or NAMELESS & set(t.name)]
     named = [t for t in places if t not in nameless]
     if not named:
@@ -331,19 +329,15 @@ def order_markers(
         if len(visible) > 2:  # two may be one, exported twice
             raise _no_arm(name, float(apart.max()), robot)
         if len(known) > 1:
-            raise DataSetError(
-                name, f'has one marker, but {len(known)} places are given', 'give one of them'
-            )
+            problem = f'has one marker, but {len(known)} places are given'
+            raise DataSetError(name, problem, 'give one of them')
         only = known or (robot.length,)
         return MarkerOrder((members[0],), only, 'the only marker', (), twice, unseen)
     inner = apart[np.ix_(members, members)]
     if (inner < 0.0).any():
-        raise DataSetError(
-            name,
-            'some markers are never seen together while the arm stands still: nothing tells their '
-            'order',
-            'say each place in an import.yaml (arc_length of markers)',
-        )
+        alone = 'some markers are never seen together while the arm stands still'
+        remedy = 'say each place in an import.yaml (arc_length of markers)'
+        raise DataSetError(name, f'{alone}: nothing tells their order', remedy)
     # the ends are farthest apart, and of these the tip moves
     ends = [members[i] for i in np.unravel_index(int(inner.argmax()), inner.shape)]
     base = min(ends, key=lambda j: float(np.nanstd(positions[:, j], axis=0).sum()))
@@ -358,12 +352,11 @@ def order_markers(
         kept = tuple(members[len(off) :])
         far, span = apart[kept[0], kept[-1]], known[-1] - known[0]
         if abs(far - span) > max(cell, 2.0 * DISTANCE_TOLERANCE * span):
-            raise DataSetError(
-                name,
-                f'the first and the last marker are {1e3 * far:.4g} mm apart where the arm is '
-                f'straightest, but {1e3 * span:.4g} mm by the places that are given',
-                'give the distance of every marker from the base along the arm, in mm',
-            )
+            seen = f'{1e3 * far:.4g} mm apart where the arm is straightest'
+            told = f'{1e3 * span:.4g} mm by the places that are given'
+            problem = f'the first and the last marker are {seen}, but {told}'
+            remedy = 'give the distance of every marker from the base along the arm, in mm'
+            raise DataSetError(name, problem, remedy)
         return MarkerOrder(kept, known, AS_GIVEN, tuple(off), twice, unseen)
     on_arm = below_tip > -0.5 * cell
     kept = tuple(j for j, one in zip(members, on_arm, strict=True) if one)
@@ -376,11 +369,9 @@ def order_markers(
 
 def _no_arm(name: str, far: float, robot: Robot) -> DataSetError:
     """Return the error of markers that cannot be those of the arm: up to `far` [m] apart."""
-    return DataSetError(
-        name,
-        f'markers are up to {1e3 * far:.4g} mm apart, the arm is {1e3 * robot.length:.4g} mm long',
-        'check the unit (--unit positions=...), and cells and cell_length of the robot',
-    )
+    long = f'the arm is {1e3 * robot.length:.4g} mm long'
+    remedy = 'check the unit (--unit positions=...), and cells and cell_length of the robot'
+    return DataSetError(name, f'markers are up to {1e3 * far:.4g} mm apart, {long}', remedy)
 
 
 def places_contradicted(dataset: DataSet) -> list[str]:

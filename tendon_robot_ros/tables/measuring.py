@@ -21,13 +21,11 @@ from ..data.still_segments import (
     Rule,
     Segment,
     find_segments,
-    motion,
     name_segments,
     never_still,
     still_stretches,
 )
 from ..data.tracker_faults import unseen_lines
-from ..robot import Robot
 from ..robot.estimates import INPUT_TOLERANCE, NOISE_FACTOR
 from .columns import UNUSUAL_FACTOR, marker_label
 from .recipe import Recipe, Selection
@@ -85,7 +83,7 @@ def let_go_between(pieces: Sequence[Piece], same: float) -> tuple[int, int, floa
     """
     count, of, level = 0, 0, 0.0
     for piece in pieces:
-        sizes = np.nan_to_num(piece.inputs).max(axis=1)
+        sizes = np.nan_to_num(piece.recording.inputs).max(axis=1)
         lowest = float(np.quantile(sizes, 0.01))
         loaded = [one for one in piece.segments if _size(one) > lowest + 3.0 * same]
         if not loaded:
@@ -104,7 +102,6 @@ class Piece:
     """One recording: its content, the motion of the arm, and its still segments."""
 
     recording: Recording
-    inputs: Floats  # (T, m) [N] or [m]
     motion: ArmMotion | None  # None: every row is a measurement
     segments: tuple[Segment, ...]
     resting: tuple[Segment, ...]
@@ -138,12 +135,12 @@ class StillMeasurements:
 
     """
 
-    def __init__(self, traces: Sequence[Traces], chosen: Selection, robot: Robot) -> None:
+    def __init__(self, traces: Sequence[Traces], chosen: Selection) -> None:
         recipe, kind, name = chosen.recipe, chosen.kind, traces[0].recording.name
         unit = 'N' if kind == 'tension' else 'm'
         still = recipe.still
         rule = Rule(still.speed or Rule.speed, still.duration or Rule.duration, still.change)
-        rule = rule.fill(robot, kind)
+        rule = rule.fill(chosen.robot, kind)
         self.delays = tuple(one.delay for one in traces if one.delay is not None)
         self.drifts = tuple(one.drift for one in traces if one.delay is not None)
         labels = [marker_label(marker.columns) for marker in recipe.markers or ()]
@@ -159,11 +156,11 @@ class StillMeasurements:
         sparse = _too_far_apart(traces, rule) if recipe.time else ''
         if recipe.time:
             traces = [replace(one, recording=_denser(one.recording, rule)) for one in traces]
-            motions = [_without_peaks(motion(t.recording, t.inputs, rule)) for t in traces]
+            motions = [_without_peaks(ArmMotion.of(t.recording, rule)) for t in traces]
             rule = _still_rule(motions, traces, rule, recipe)
         self.rule = rule
         pairs = zip_longest(traces, motions)
-        pieces = [_piece(one, moved, rule, chosen, robot) for one, moved in pairs]
+        pieces = [_piece(one, moved, rule, chosen) for one, moved in pairs]
         segments = [one for piece in pieces for one in piece.segments]
         if not segments and sparse:
             raise DataSetError(name, sparse, SETTLED_ROWS)
@@ -175,9 +172,8 @@ class StillMeasurements:
         if rest is None:
             rest = _guess_rest(segments, self.same) if recipe.path == FROM_STRAIGHT else 0.0
             if rest:
-                self.assumed.append(
-                    f'where all inputs are below {digits(rest, 3)} {unit} the arm rests'
-                )
+                below = f'{digits(rest, 3)} {unit}'
+                self.assumed.append(f'where all inputs are below {below} the arm rests')
         self.rest = rest
         self.pieces = [_without_rest(piece, rest, i == 0) for i, piece in enumerate(pieces)]
         self.dropped += _dropped_lines(self.pieces, labels)
@@ -231,10 +227,8 @@ def _too_far_apart(traces: Sequence[Traces], rule: Rule) -> str:
     apart = float(np.median(intervals)) if len(intervals) else 0.0
     if apart <= rule.duration / 4:
         return ''
-    return (
-        f'the rows are {apart:.2g} s apart, too far to show that the arm stood still for '
-        f'{rule.duration:g} s'
-    )
+    still = f'the arm stood still for {rule.duration:g} s'
+    return f'the rows are {apart:.2g} s apart, too far to show that {still}'
 
 
 SETTLED_ROWS = 'if each row was taken after the arm had settled, say --column time=none'
@@ -283,40 +277,36 @@ def _still_rule(
     changes = np.concatenate([m.change[np.isfinite(m.change)] for m in motions])
     if recipe.still.speed is None and len(speeds):
         quiet = NOISE_FACTOR * float(np.quantile(speeds, QUIET_FRACTION))
-        rule = replace(
-            rule, speed=float(np.clip(round(quiet, 5), Rule.speed, UNUSUAL_FACTOR * Rule.speed))
-        )
+        speed = np.clip(round(quiet, 5), Rule.speed, UNUSUAL_FACTOR * Rule.speed)
+        rule = replace(rule, speed=float(speed))
     if recipe.still.change is None and len(changes):
-        size = max(float(np.nanquantile(np.abs(one.inputs), 0.995)) for one in traces)
+        size = max(float(np.nanquantile(np.abs(one.recording.inputs), 0.995)) for one in traces)
         quiet = NOISE_FACTOR * float(np.quantile(changes, QUIET_FRACTION))
         usual = INPUT_TOLERANCE * max(size, 1e-9)
         rule = replace(rule, change=float(f'{np.clip(quiet, usual, UNUSUAL_FACTOR * usual):.3g}'))
     return rule
 
 
-def _piece(
-    traces: Traces, moved: ArmMotion | None, rule: Rule, chosen: Selection, robot: Robot
-) -> Piece:
+def _piece(traces: Traces, moved: ArmMotion | None, rule: Rule, chosen: Selection) -> Piece:
     """Return a recording with its still segments, or a segment for every row."""
-    recording, inputs = traces.recording, traces.inputs
+    recording = traces.recording
     if moved is None:
         positions = recording.tracks[0].positions
         turned = np.full((positions.shape[1], 4), np.nan)
-        segments = [
-            Segment(float(i), float(i), inputs[i].round(9), place.round(9), turned, np.nan)
-            for i, place in enumerate(positions)
-        ]
+        inputs, places = recording.inputs.round(9), positions.round(9)
+        rows = zip(recording.state_times.tolist(), inputs, places, strict=True)
+        segments = [Segment(t, t, pulled, place, turned, np.nan) for t, pulled, place in rows]
     else:
         cleaned = _without_gaps(recording, still_stretches(moved, rule))
-        segments, _ = find_segments(cleaned, inputs, moved, rule, sequence=True)
+        segments, _ = find_segments(cleaned, moved, rule, sequence=True)
     segments = [one for one in segments if np.isfinite(one.positions).any()]
     if segments and chosen.recipe.zero:  # inputs count from those of the first segment
         zero = segments[0].inputs
-        inputs = inputs - zero
+        recording = replace(recording, inputs=recording.inputs - zero)
         segments = [replace(one, inputs=(one.inputs - zero).round(9)) for one in segments]
     if segments:
-        segments = plausible_inputs(recording.name, segments, robot, chosen.kind, rule)
-    return Piece(recording, inputs, moved, tuple(segments), (), traces.cut)
+        segments = plausible_inputs(recording.name, segments, chosen.robot, chosen.kind, rule)
+    return Piece(recording, moved, tuple(segments), (), traces.cut)
 
 
 def _without_gaps(recording: Recording, stretches: Sequence[tuple[float, float]]) -> Recording:
@@ -382,11 +372,9 @@ def _without_rest(piece: Piece, rest: float, first: bool) -> Piece:
     if first and resting:
         resting[0] = False
     pairs = list(zip(piece.segments, resting, strict=True))
-    return replace(
-        piece,
-        segments=tuple(one for one, is_rest in pairs if not is_rest),
-        resting=tuple(one for one, is_rest in pairs if is_rest),
-    )
+    kept = tuple(one for one, is_rest in pairs if not is_rest)
+    between = tuple(one for one, is_rest in pairs if is_rest)
+    return replace(piece, segments=kept, resting=between)
 
 
 def _dropped_lines(pieces: Sequence[Piece], labels: Sequence[str]) -> list[str]:
@@ -405,9 +393,7 @@ def _dropped_lines(pieces: Sequence[Piece], labels: Sequence[str]) -> list[str]:
     total = sum(len(one) for one in positions)
     if lost.any():
         worst = int(lost.argmax())
-        lines.append(
-            f'{100.0 * lost.sum() / (total * len(lost)):.2g} % of the marker readings are missing '
-            f'(most of {labels[worst]}: '
-            f'{100.0 * lost[worst] / total:.2g} %)'
-        )
+        share = f'{100.0 * lost.sum() / (total * len(lost)):.2g} %'
+        most = f'{labels[worst]}: {100.0 * lost[worst] / total:.2g} %'
+        lines.append(f'{share} of the marker readings are missing (most of {most})')
     return lines

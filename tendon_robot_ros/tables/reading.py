@@ -70,9 +70,8 @@ def read_tables(path: str | Path) -> list[RawTable]:
     shown, path = str(path), Path(path)
     if not path.is_file():
         problem = 'is a folder' if path.is_dir() else 'is not there'
-        raise DataSetError(
-            shown, problem, f'name a file that ends with {", ".join(TABLE_ENDINGS)}'
-        )
+        remedy = f'name a file that ends with {", ".join(TABLE_ENDINGS)}'
+        raise DataSetError(shown, problem, remedy)
     size = path.stat().st_size
     if size > BYTES_MAX:
         problem = f'has {size / 1e9:.1f} GB, more than {BYTES_MAX / 1e9:g} GB are not read at once'
@@ -143,7 +142,7 @@ def _delimiter(shown: str, rows: Sequence[str]) -> str:
     for mark in DELIMITERS:
         if 2 * sum(mark in line for line in lines) >= len(lines):
             return mark
-    if (maker := maker_of([[line.strip()] for line in lines])) is not None:
+    if (maker := maker_of([[line.strip()] for line in lines])).name:
         raise unnamed(shown, 1, maker)
     problem = f'has one column only ({short(lines[0].strip()[:40])})'
     remedy = 'separate columns by commas, semicolons or tabs'
@@ -227,7 +226,7 @@ def _read_part(
 
 def _with_times(table: RawTable, head: Head) -> RawTable:
     """Add times to an export that only counts frames, and the defaults of its system."""
-    if head.maker is None:
+    if not head.maker.name:
         return table
     columns, units = dict(table.columns), dict(table.units)
     remarks = [f'exported by {head.maker.name}{f", {head.title}" if head.title else ""}']

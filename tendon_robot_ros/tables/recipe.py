@@ -14,26 +14,16 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_origin, get_type_hints
 
 import numpy as np
-import yaml
 
 from ..common.errors import DataSetError, InputError, refusal, short
 from ..common.words import TYPED_LENGTHS, UNITS, Unit, digits, find_unit, listing
+from ..common.yaml_reading import dump_yaml
 from ..data.arrays import Vector
 from ..data.dataset import PATHS
 from ..data.folder import DatasetFields, read_text
-from ..data.tracker_faults import UNSEEN_M, without_unseen
+from ..data.tracker_faults import without_unseen
 from ..robot import Robot
-from .columns import (
-    FRAMES,
-    UPS,
-    ColumnUse,
-    RawTable,
-    guess_inputs,
-    guess_time,
-    names_of,
-    need_column,
-    triples_of,
-)
+from .columns import FRAMES, UPS, RawTable, guess_inputs, guess_time, names_of, triples_of
 from .markers import CHOICES, Points, choose_points
 
 METHODS = ('model', 'level', 'straight', 'base')
@@ -49,6 +39,14 @@ Part = TypeVar('Part')
 Read = Callable[['RecipeFields', str], Any]
 
 
+@dataclass(frozen=True)
+class ColumnUse:
+    """A selected column and its unit; '' if the unit is unknown."""
+
+    column: str
+    unit: str
+
+
 class RecipeFields(DatasetFields):
     """Checked reading of import.yaml, or of options by its keys."""
 
@@ -62,11 +60,8 @@ class RecipeFields(DatasetFields):
     def read(self, kind: type[Part]) -> Part:
         """Read a dataclass by the annotations of its fields; a missing key is the default."""
         hints = get_type_hints(kind, include_extras=True)
-        known = {
-            name: hint.__metadata__[0]
-            for name, hint in hints.items()
-            if get_origin(hint) is Annotated
-        }
+        read_by = {n: hint for n, hint in hints.items() if get_origin(hint) is Annotated}
+        known = {name: hint.__metadata__[0] for name, hint in read_by.items()}
         self.only(*known)
         present = (name for name in known if self.has(name) or not hasattr(kind, name))
         return kind(**{name: known[name](self, name) for name in present})
@@ -320,21 +315,11 @@ def dump_recipe(recipe: Recipe, folder: Path) -> str:
     """Write an import.yaml that lies in a folder; `load_recipe` gives the same recipe."""
     base = os.path.abspath(folder)
     sources = tuple(os.path.relpath(os.path.abspath(s), base) for s in recipe.sources)
-    keys = plain(
-        replace(
-            recipe,
-            sources=sources,
-            robot='robot.yaml',
-            zero=recipe.zero or None,
-            input_unit=None,
-            time_unit=None,
-        )
-    )
+    written = replace(recipe, sources=sources, robot='robot.yaml', zero=recipe.zero or None)
+    keys = plain(replace(written, input_unit=None, time_unit=None))
     keys['leave_out'] = plain(recipe.leave_out or ())  # none is a choice, too
     keys |= {'time': {}} if recipe.time == {} else {}
-    return HEAD + str(
-        yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    )
+    return HEAD + dump_yaml(keys)
 
 
 def plain(value: Any) -> Any:
@@ -350,7 +335,7 @@ def plain(value: Any) -> Any:
 # [s] a median step above is in another unit, because nobody records an arm so slowly
 STEP_MAX_S = 2.0
 LENGTH_UNITS = ('m', 'mm')  # a factor of 1000, so that the size of the arm decides
-FAR = UNSEEN_M / UNITS['length']['mm']  # in the smallest unit that is tried
+SMALLEST = UNITS['length']['mm']  # [m] the smallest unit that is tried
 # [1] lengths of the arm that its markers may be apart, because a bent arm shows less, and one with
 # a long tool more
 EXTENT = (0.25, 1.3)
@@ -403,9 +388,8 @@ class Selection:
             turned = bool(kinds & {'angle', 'counts'})
             self.recipe = replace(self.recipe, zero=turned)
             if turned:
-                self.assumed.append(
-                    'motors count from where they are when the arm first stands still'
-                )
+                first = 'where they are when the arm first stands still'
+                self.assumed.append(f'motors count from {first}')
         self.warnings = self._units_contradicted()
         taken = set(self.reasons)
         taken |= {c for t in tables for triple in triples_of(t) for c in triple.columns}
@@ -457,34 +441,41 @@ class Selection:
             )
         return lines
 
+    def _take_given(self, column: str, option: str) -> None:
+        """Take a column that the recipe names; refuse one that no table has."""
+        if not any(table.holds(column) for table in self.tables):
+            first = self.tables[0]
+            problem, known = f'no column {column!r} ({option})', listing(first.columns)
+            raise DataSetError(first.name, problem, f'use one of {known}')
+        self.reasons[column] = 'as given'
+
     def _choose_times(self) -> None:
         recipe, tables = self.recipe, self.tables
         if recipe.time == {}:  # as given: every row is a measurement
             return
         times = dict(recipe.time or {})
         for column in times:
-            need_column(tables, column, 'time')
+            self._take_given(column, 'time')
         for table in tables:
-            if (mine := time_column(table, times)) is not None:
-                self.reasons[mine] = 'as given'
+            if time_column(table, times) is not None:
                 continue
-            if (use := guess_time(names_of(table))) is None:
+            if (guess := guess_time(names_of(table))) is None:
                 continue
-            self.reasons[use.column] = 'its name'
-            unit = recipe.time_unit or use.unit
-            if not unit and table.units.get(use.column) == FRAMES:
+            column = guess.column
+            self.reasons[column] = 'its name'
+            unit = recipe.time_unit or (guess.unit.text if guess.unit else '')
+            if not unit and table.units.get(column) == FRAMES:
                 problem = 'counts frames, and nothing says how many a second'
                 raise DataSetError(table.name, problem, 'say --unit time=60Hz, or how many it has')
             if not unit:
-                unit, note = _time_unit(table, use.column)
+                unit, note = _time_unit(table, column)
                 self.assumed += [f'{table.name}: {note}'] if note else []
-            times[use.column] = unit
+            times[column] = unit
         lacking = [table for table in tables if time_column(table, times) is None]
         # a unit was given, so a column must exist
         if lacking and (times or recipe.time_unit is not None):
-            raise DataSetError(
-                lacking[0].name, 'has no column of times', 'say --column time=COLUMN'
-            )
+            problem, remedy = 'has no column of times', 'say --column time=COLUMN'
+            raise DataSetError(lacking[0].name, problem, remedy)
         if not times:
             self.assumed.append(
                 'no column of times: every row is a measurement of the arm at rest '
@@ -498,33 +489,28 @@ class Selection:
         for name, use in inputs.items():
             if name not in robot.inputs:
                 raise InputError(f'inputs: expected {", ".join(robot.inputs)}, got {name!r}')
-            need_column(tables, use.column, f'input {name}')
-            self.reasons[use.column] = 'as given'
+            self._take_given(use.column, f'input {name}')
         missing = [name for name in robot.inputs if name not in inputs]
         if missing:
             guesses = (guess_inputs(names_of(t), missing) for t in tables)
             if (guess := next(filter(None, guesses), None)) is None:
-                raise DataSetError(
-                    tables[0].name,
-                    f'no columns for the inputs {listing(missing)} are recognised among '
-                    f'{listing(n.column for t in tables for n in names_of(t) if not n.axis)}',
-                    'name each by --column INPUT=COLUMN',
-                )
-            guessed, reason = guess
-            inputs |= guessed
-            self.reasons |= {use.column: reason for use in guessed.values()}
+                known = listing(n.column for t in tables for n in names_of(t) if not n.axis)
+                none = f'no columns for the inputs {listing(missing)} are recognised'
+                remedy = 'name each by --column INPUT=COLUMN'
+                raise DataSetError(tables[0].name, f'{none} among {known}', remedy)
+            columns, reason = [one.column for one in guess[0]], guess[1]
+            inputs |= {name: ColumnUse(c, '') for name, c in zip(missing, columns, strict=True)}
+            self.reasons |= dict.fromkeys(columns, reason)
         written = self.written_units
         for name, use in inputs.items():  # the unit of an option, of the recipe, or of the file
             own = written[use.column].text if use.column in written else ''
             inputs[name] = replace(use, unit=recipe.input_unit or use.unit or own)
         lacking = [use.column for use in inputs.values() if not use.unit]
         if lacking:
-            raise DataSetError(
-                tables[0].name,
-                f'nothing says the unit of {listing(lacking)}',
-                'write it into the header, as in "T1 [N]", or say --unit inputs=N (mN, g, kgf, '
-                'lbf, mm, deg, ticks, mA ...)',
-            )
+            units = 'mN, g, kgf, lbf, mm, deg, ticks, mA ...'
+            remedy = f'write it into the header, as in "T1 [N]", or say --unit inputs=N ({units})'
+            problem = f'nothing says the unit of {listing(lacking)}'
+            raise DataSetError(tables[0].name, problem, remedy)
         self.recipe = replace(recipe, inputs={name: inputs[name] for name in robot.inputs})
 
     def _choose_markers(self) -> Points:
@@ -533,8 +519,7 @@ class Selection:
         if recipe.markers is not None:
             for marker in recipe.markers:
                 for column in marker.columns:
-                    need_column(tables, column, 'markers')
-                    self.reasons[column] = 'as given'
+                    self._take_given(column, 'markers')
             return Points()
         points = choose_points(tables, recipe.points)
         for columns in points.columns:
@@ -562,17 +547,13 @@ class Selection:
         fitting = [u for u in LENGTH_UNITS if low <= apart * UNITS['length'][u] <= high]
         if not fitting:
             others = [u for u in TYPED_LENGTHS if low <= apart * UNITS['length'][u] <= high]
-            raise DataSetError(
-                name,
-                f'nothing says the unit of the markers, and neither m nor mm fits: they are '
-                f'{apart:.4g} apart, the arm is {1e3 * robot.length:.4g} mm long',
-                ' or '.join(f'say --unit positions={unit}' for unit in others)
-                or 'correct cell_length and cells of the robot, or say --unit positions=UNIT',
-            )
-        self.assumed.append(
-            f'markers are in {fitting[0]}: they are up to {apart:.4g} apart on an arm of '
-            f'{1e3 * robot.length:.4g} mm'
-        )
+            none = 'nothing says the unit of the markers, and neither m nor mm fits'
+            sizes = f'they are {apart:.4g} apart, the arm is {1e3 * robot.length:.4g} mm long'
+            fit = ' or '.join(f'say --unit positions={unit}' for unit in others)
+            correct = 'correct cell_length and cells of the robot, or say --unit positions=UNIT'
+            raise DataSetError(name, f'{none}: {sizes}', fit or correct)
+        known_by = f'up to {apart:.4g} apart on an arm of {1e3 * robot.length:.4g} mm'
+        self.assumed.append(f'markers are in {fitting[0]}: they are {known_by}')
         self.recipe = replace(recipe, positions=fitting[0])
 
 
@@ -601,7 +582,7 @@ def _extent(tables: Sequence[RawTable], recipe: Recipe) -> float:
         markers = [m.columns[:3] for m in recipe.markers or () if table.holds(*m.columns)]
         if not markers:
             continue
-        places = without_unseen(table.places(markers, table.step), None, FAR)[0]
+        places = without_unseen(SMALLEST * table.places(markers, table.step), None)[0] / SMALLEST
         if len(markers) == 1:
             low, high = np.nanpercentile(places[:, 0], [2, 98], axis=0)
             return float((high - low).max())

@@ -11,13 +11,7 @@ from scipy.spatial.transform import Rotation
 from ..common.arrays import DIGITS, Bools, Floats
 from ..common.errors import DataSetError, InputError
 from ..common.estimation import ITERATIONS_MAX
-from ..common.rotations import (
-    angle_between,
-    from_rotation_vector,
-    rigid_fit,
-    rotation_about,
-    towards,
-)
+from ..common.rotations import angle_between, rigid_fit, rotation_about, towards
 from ..common.words import STANDARD_GRAVITY, listing, mm
 from ..data import DataSet
 from ..data.arrays import Vector
@@ -51,10 +45,8 @@ class TrackerFrame:
 
     Parameters
     ----------
-    dataset : DataSet
-        Positions in the tracker's frame.
     predictor : Predictor
-        Of the robot as described.
+        Of the robot as described; its data set has positions in the tracker's frame.
     choice : FrameChoice
         The method, or the result.
     up : str or None
@@ -85,15 +77,11 @@ class TrackerFrame:
 
     """
 
-    def __init__(
-        self, dataset: DataSet, predictor: Predictor, choice: FrameChoice, up: str | None
-    ) -> None:
-        markers = predictor.markers({})
+    def __init__(self, predictor: Predictor, choice: FrameChoice, up: str | None) -> None:
+        dataset, markers = predictor.dataset, predictor.markers({})
         if markers is None:
-            raise InputError(
-                'the model finds no equilibrium for these inputs: check their unit, and the '
-                'stiffness in the robot description'
-            )
+            remedy = 'check their unit, and the stiffness in the robot description'
+            raise InputError(f'the model finds no equilibrium for these inputs: {remedy}')
         measured = dataset.mean
         visible = np.isfinite(measured).all(axis=2)
         gravity = np.array(predictor.robot.gravity or (0.0, 0.0, 0.0))
@@ -101,7 +89,8 @@ class TrackerFrame:
         self.method = choice.method or ('level' if has_verticals else 'model')
         if choice.rotation is not None and choice.shift is not None:
             self.method = choice.method or 'given'
-            rotation, shift = from_rotation_vector(choice.rotation), np.array(choice.shift)
+            rotation = Rotation.from_rotvec(choice.rotation).as_matrix()
+            shift = np.array(choice.shift)
         elif self.method == 'base':
             rotation, shift = np.eye(3), np.zeros(3)
         elif self.method == 'straight':
@@ -110,16 +99,14 @@ class TrackerFrame:
             above, first = None, np.eye(3)
             if self.method == 'level':
                 if up is None or not has_verticals:
-                    raise InputError(
-                        "--frame level needs the tracker's --up and the robot's gravity (where "
-                        'the arm points)'
-                    )
+                    needed = "the tracker's --up and the robot's gravity (where the arm points)"
+                    raise InputError(f'--frame level needs {needed}')
                 above = -gravity / np.linalg.norm(gravity)  # up in the base frame, (3,)
                 first = towards(above) @ towards(up_axis(up)).T  # the tracker's up onto that
             rotation, shift = _weighted(measured @ first.T, markers, dataset.arc_lengths, above)
             rotation = rotation @ first
         # as a file gives it back
-        self.rotation = from_rotation_vector(rotation_vector(rotation))
+        self.rotation = Rotation.from_rotvec(rotation_vector(rotation)).as_matrix()
         self.shift = shift.round(DIGITS)
         off = measured @ self.rotation.T + self.shift - markers
         straight = _straight_postures(markers, dataset)
@@ -128,11 +115,6 @@ class TrackerFrame:
         self.straight = rms(off[straight]) if visible[straight].any() else None
         self.free = _free_residual(seen, model)
         self.mirrored = _free_residual(seen * [1.0, 1.0, -1.0], model)
-
-    @property
-    def is_mirrored(self) -> bool:
-        """Whether a left-handed frame fits much better, as when two inputs are swapped."""
-        return NOISE_FACTOR * self.mirrored < self.free > 2.0 * TRACKER_NOISE_M
 
     @property
     def is_contradicted(self) -> bool:
@@ -157,7 +139,7 @@ class TrackerFrame:
 
 
 def up_that_fits(
-    dataset: DataSet, predictor: Predictor, choice: FrameChoice, usual: str | None
+    predictor: Predictor, choice: FrameChoice, usual: str | None
 ) -> tuple[str | None, list[str]]:
     """
     Return the axis that points up, where only the file format suggests one, and assumptions.
@@ -168,10 +150,10 @@ def up_that_fits(
     gravity = predictor.robot.gravity
     if usual is None or gravity is None or not any(gravity) or choice.method or choice.rotation:
         return usual, []
-    frame = TrackerFrame(dataset, predictor, choice, usual)
+    frame = TrackerFrame(predictor, choice, usual)
     if not frame.is_contradicted:
         return usual, []
-    others = {up: TrackerFrame(dataset, predictor, choice, up) for up in UPS if up != usual}
+    others = {up: TrackerFrame(predictor, choice, up) for up in UPS if up != usual}
     best = min(others, key=lambda up: others[up].residual)
     if others[best].is_contradicted:
         return usual, []
@@ -267,9 +249,8 @@ def _straight(
     chosen = _straight_postures(markers, dataset)
     use = visible & chosen[:, None]
     if use.sum() < 2:
-        raise InputError(
-            '--frame straight needs a posture in which the arm is straight with two markers seen'
-        )
+        needed = 'a posture in which the arm is straight with two markers seen'
+        raise InputError(f'--frame straight needs {needed}')
     points = measured[use]
     arc = np.broadcast_to(dataset.arc_lengths, visible.shape)[use]
     slope = (arc - arc.mean()) @ (points - points.mean(axis=0))
@@ -319,7 +300,7 @@ class Placed:
         robot, choice, pairs = raw.robot, recipe.frame, recipe.leave_out
 
         def placed(dataset: DataSet) -> tuple[DataSet, TrackerFrame]:
-            frame = TrackerFrame(dataset, Predictor(dataset, robot, catalogue), choice, recipe.up)
+            frame = TrackerFrame(Predictor(dataset, robot, catalogue), choice, recipe.up)
             positions = dataset.positions @ frame.rotation.T + frame.shift
             return replace(dataset, positions=positions.round(9)), frame
 
@@ -353,7 +334,7 @@ class Placed:
                 'tip: are markers, inputs and units right? (--frame base, where the table is in '
                 'the base frame)'
             )
-        if frame.is_mirrored:
+        if NOISE_FACTOR * frame.mirrored < frame.free > 2.0 * TRACKER_NOISE_M:
             lines.append(
                 f'a left-handed frame would fit better ({mm(frame.mirrored)} instead of '
                 f'{mm(frame.free)}): an axis has the wrong sign, or two inputs are swapped'

@@ -15,14 +15,7 @@ from ..common.results import pandas
 from ..common.words import UNITS, find_unit, listing
 from ..data.arrays import FRAME_S, VALUES_MAX
 from ..data.bag_reader import Recording, Track
-from ..data.tracker_faults import (
-    UNSEEN_M,
-    exchange_lines,
-    joined,
-    put_back,
-    renumbered,
-    without_unseen,
-)
+from ..data.tracker_faults import exchange_lines, joined, put_back, renumbered, without_unseen
 from ..robot.estimates import TRACKER_NOISE_M
 from .columns import ROWS_MAX, UNUSUAL_FACTOR, RawTable, marker_label
 from .markers import circle_centres, not_visible
@@ -97,17 +90,14 @@ def input_factor(unit_text: str, spool: WireSpool) -> float:
     if unit.kind in ('force', 'length'):
         return unit.factor
     if spool.radius is None:
-        raise InputError(
-            f'inputs are in {unit.text}: how far is the wire from the axis of its spool? '
-            'say --spool MM'
-        )
+        asked = 'how far is the wire from the axis of its spool? say --spool MM'
+        raise InputError(f'inputs are in {unit.text}: {asked}')
     if unit.kind == 'angle':
         return unit.factor * spool.radius
     if unit.kind == 'current':
         if spool.torque_constant is None:
-            raise InputError(
-                f'inputs are in {unit.text}: say --torque-constant, N·m per ampere at the spool'
-            )
+            option = '--torque-constant, N·m per ampere at the spool'
+            raise InputError(f'inputs are in {unit.text}: say {option}')
         return unit.factor * spool.torque_constant / spool.radius
     if spool.counts_per_turn is None:
         raise InputError(f'inputs are in {unit.text}: say --counts-per-turn, 4096 for example')
@@ -116,10 +106,9 @@ def input_factor(unit_text: str, spool: WireSpool) -> float:
 
 @dataclass(frozen=True)
 class Traces:
-    """What one recording holds; inputs have times of their own where they have their own file."""
+    """One recording; its inputs have times of their own where they have their own file."""
 
     recording: Recording
-    inputs: Floats  # (T, m) [N] or [m] at `recording.state_times`
     unseen: dict[str, Ints]  # readings (J,) of each marker that are none, by why
     # (K, 5) readings that were cut out, because a marker was elsewhere for a moment: time [s],
     # index of the marker, place [m]
@@ -130,11 +119,9 @@ class Traces:
     exchanged: tuple[str, ...] = ()  # which markers were put back, and when
 
 
-def make_traces(tables: Sequence[RawTable], chosen: Selection, length: float) -> list[Traces]:
+def make_traces(tables: Sequence[RawTable], chosen: Selection) -> list[Traces]:
     """
     Return one recording per table, or per pair of tables where markers have their own.
-
-    `length` [m] is that of the arm.
 
     Raises
     ------
@@ -151,9 +138,8 @@ def make_traces(tables: Sequence[RawTable], chosen: Selection, length: float) ->
     for table in tables:
         if table not in with_inputs and table not in with_markers:
             missing = [c for c in (*inputs, *places) if not table.holds(c)]
-            raise DataSetError(
-                table.name, f'lacks the columns {listing(missing)}', 'give all tables the same'
-            )
+            problem = f'lacks the columns {listing(missing)}'
+            raise DataSetError(table.name, problem, 'give all tables the same')
     if len(with_inputs) != len(with_markers):
         problem = f'{len(with_inputs)} tables hold inputs and {len(with_markers)} markers'
         raise DataSetError(tables[0].name, problem, 'name one of each per recording')
@@ -165,22 +151,22 @@ def make_traces(tables: Sequence[RawTable], chosen: Selection, length: float) ->
             raise DataSetError(tables[0].name, problem, f'give one {what}, or one for each')
         clocks.append(known if len(known) > 1 else known * len(with_inputs))
     pairs = zip(with_inputs, with_markers, *clocks, strict=True)
-    return [_trace(a, b, recipe, delay, drift, length) for a, b, delay, drift in pairs]
+    return [_trace(a, b, chosen, delay, drift) for a, b, delay, drift in pairs]
 
 
 def _trace(
     input_table: RawTable,
     marker_table: RawTable,
-    recipe: Recipe,
+    chosen: Selection,
     delay: float | None,
     drift: float | None,
-    length: float,
 ) -> Traces:
+    recipe = chosen.recipe
     uses = (recipe.inputs or {}).values()
     inputs = np.column_stack(
         [input_table.numbers(use.column) * input_factor(use.unit, recipe.spool) for use in uses]
     )
-    positions, unseen = marker_places(marker_table, recipe, length)
+    positions, unseen = marker_places(marker_table, recipe, chosen.robot.length)
     pulled = [use.unit in UNITS['force'] or use.unit in UNITS['current'] for use in uses]
     empty = ~np.isfinite(inputs).any(axis=0) & pulled  # a wire may be slack all the time
     if empty.any():
@@ -188,28 +174,23 @@ def _trace(
         problem = f'there is no number in {listing(names)}'
         raise DataSetError(input_table.name, problem, 'name another column: --column INPUT=COLUMN')
     if not np.isfinite(positions).any():
-        raise DataSetError(
-            marker_table.name, 'no marker was ever seen', 'export the markers again'
-        )
+        problem, remedy = 'no marker was ever seen', 'export the markers again'
+        raise DataSetError(marker_table.name, problem, remedy)
     clocks, drift = '', drift or 0.0
     if not recipe.time:
         if len(input_table) != len(marker_table):
-            raise DataSetError(
-                marker_table.name,
-                f'has {len(marker_table):,} rows, and {input_table.name} with the inputs '
-                f'{len(input_table):,}: which belong together?',
-                'give both a row for each measurement, or name their columns of times',
-            )
+            others = f'{input_table.name} with the inputs {len(input_table):,}'
+            problem = f'has {len(marker_table):,} rows, and {others}: which belong together?'
+            remedy = 'give both a row for each measurement, or name their columns of times'
+            raise DataSetError(marker_table.name, problem, remedy)
         steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
         moved = np.linalg.norm(np.nanmax(positions, axis=0) - np.nanmin(positions, axis=0), axis=1)
         is_recording = recipe.time is None and len(positions) > ROWS_MAX
         if is_recording and np.nanmedian(steps) < FRAME_STEP_FRACTION * moved.max():
-            raise DataSetError(
-                marker_table.name,
-                f'has no column of times, and its {len(positions):,} rows follow each other like '
-                'the frames of a recording',
-                'say --column time=COLUMN, or leave one row per measurement',
-            )
+            like = 'follow each other like the frames of a recording'
+            problem = f'has no column of times, and its {len(positions):,} rows {like}'
+            remedy = 'say --column time=COLUMN, or leave one row per measurement'
+            raise DataSetError(marker_table.name, problem, remedy)
         times = state_times = np.arange(len(input_table), dtype=float)
     else:
         state_times, times = _times(input_table, recipe), _times(marker_table, recipe)
@@ -234,10 +215,10 @@ def _trace(
         positions, exchanges = put_back(positions)
     turned = np.broadcast_to(np.nan, (*positions.shape[:2], 4))
     track = Track(times, positions, turned)
-    recording = Recording(marker_table.name, state_times, [], (track,), (), [], None, None)
+    recording = Recording(marker_table.name, state_times, (track,), inputs=inputs)
     labels = [marker_label(marker.columns) for marker in recipe.markers or ()]
     exchange_notes = tuple(exchange_lines(exchanges, times, labels))
-    return Traces(recording, inputs, unseen, cut, delay, drift, clocks, exchange_notes)
+    return Traces(recording, unseen, cut, delay, drift, clocks, exchange_notes)
 
 
 def marker_places(
@@ -248,7 +229,7 @@ def marker_places(
     markers = [marker.parts for marker in recipe.markers or ()]
     rims = [points for parts in markers for points in parts]
     points = [point for rim in rims for point in rim]
-    positions, unseen = without_unseen(table.places(points), length / factor, UNSEEN_M / factor)
+    positions, unseen = without_unseen(factor * table.places(points), length)
     visible = np.isfinite(positions).all(axis=2)
     for why, hidden in not_visible(table, points).items():
         if (hidden & visible).any():
@@ -261,10 +242,10 @@ def marker_places(
     own = [range(a, b) for a, b in pairwise(counts.tolist())]
     first = np.cumsum([0, *(sum(map(len, parts)) for parts in markers)])[:-1]
     summed = {why: np.add.reduceat(count, first) for why, count in unseen.items()}
-    return joined(centres, own) * factor, summed
+    return joined(centres, own), summed
 
 
-def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: float) -> None:
+def follow_renumbered(tables: Sequence[RawTable], chosen: Selection) -> None:
     """
     Join the columns of markers that the tracker renumbered, with a line for each.
 
@@ -281,6 +262,7 @@ def follow_renumbered(tables: Sequence[RawTable], chosen: Selection, length: flo
     nameless = [c for c in chosen.nameless if all(table.holds(*c) for table in with_markers)]
     every = (*markers, *map(MarkerColumns, nameless))
     recipe = replace(chosen.recipe, markers=every)
+    length = chosen.robot.length
     places = np.concatenate([marker_places(t, recipe, length)[0] for t in with_markers])
     chains = [chain for chain in renumbered(places) if chain[0] < len(markers)]
     followed = []
