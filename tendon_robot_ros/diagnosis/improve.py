@@ -35,12 +35,7 @@ from ..inference.crossval import (
     predict,
     written_markers,
 )
-from ..inference.description import (
-    OF_THE_ARM,
-    WRITABLE_KINDS,
-    route_changes,
-    stiffness_change,
-)
+from ..inference.description import OF_THE_ARM, WRITABLE_KINDS, route_changes, stiffness_change
 from ..inference.fit import Fit, covariance_root
 from ..inference.fitter import FAILURES
 from ..inference.imperfections import POSITION, ROTATION, SplitPredictor, imperfections

@@ -12,12 +12,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.estimation import STEP_LENGTHS
 from .fit import Fit, Nuisance, with_imperfections
-from .imperfections import (
-    GAIN,
-    KINDS_WITH_FEW_MEMBERS,
-    Imperfections,
-    Members,
-)
+from .imperfections import GAIN, KINDS_WITH_FEW_MEMBERS, Imperfections, Members
 from .marginal import STEPS_MAX, Prior, RandomEffects, Sizes
 from .noise import Whitener
 from .predict import FreeParameter, Point, Predictor, SettledShapes

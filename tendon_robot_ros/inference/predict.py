@@ -14,13 +14,7 @@ from ..common.errors import EffectError, TendonRobotError
 from ..data import DataSet, Part
 from ..data.arrays import Visits
 from ..effects import Catalogue, Effect, Parameter
-from ..model.derivatives import (
-    DIFFERENCE_STEP,
-    Move,
-    PathSlopes,
-    follow,
-    tensions_by_pulls,
-)
+from ..model.derivatives import DIFFERENCE_STEP, Move, PathSlopes, follow, tensions_by_pulls
 from ..model.forward import TOLERANCE
 from ..model.model import Model
 from ..model.pulls import pull_shapes, transmitted, unknown_slopes

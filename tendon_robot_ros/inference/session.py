@@ -17,14 +17,7 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
-from .candidates import (
-    Candidate,
-    Ranked,
-    candidates_of,
-    gain_p_value,
-    is_tested,
-    nuisances_of,
-)
+from .candidates import Candidate, Ranked, candidates_of, gain_p_value, is_tested, nuisances_of
 from .fit import Fit, Nuisance
 from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
 from .imperfections import REMAINDER, Imperfections, Members, SplitPredictor, imperfections
@@ -110,11 +103,7 @@ class Question:
 
     @classmethod
     def of(
-        cls,
-        dataset: DataSet,
-        robot: Robot,
-        catalogue: Catalogue,
-        progress: Progress | None = None,
+        cls, dataset: DataSet, robot: Robot, catalogue: Catalogue, progress: Progress | None = None
     ) -> Question:
         """Build the predictors; a long recording is thinned."""
         used, sized = dataset.thinned(POSTURES_MAX), catalogue.sized(natural_sizes(robot))
