@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..common.arrays import Floats
+from ..common.errors import Progress
 from ..effects import Parameter
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX, Fitter
@@ -312,26 +313,13 @@ class Patterns:
             values=tuple(angles.tolist()),
         )
 
-
-def patterns_of(
-    fitter: Fitter,
-    fit: Fit,
-    progress: Callable[[str, int, int], None] | None = None,
-    line: float = np.inf,
-    reversals: bool = False,
-) -> list[Pattern]:
-    """
-    Fit all patterns on top of a fit; those without equilibrium drop out.
-
-    Fits whose deviance stays far above a `line` may stop early; with `reversals` the others are
-    also tried beyond reversals of friction.
-    """
-    own, found = Patterns(fitter, fit, line, reversals), list[Pattern | None]()
-    for number, name in enumerate(NAMES, start=1):
-        found.append(getattr(own, name)())
-        if progress is not None:
+    def fitted(self, progress: Progress) -> list[Pattern]:
+        """Fit all patterns on top of the fit; those without equilibrium drop out."""
+        found = list[Pattern | None]()
+        for number, name in enumerate(NAMES, start=1):
+            found.append(getattr(self, name)())
             progress('causes outside the catalogue', number, len(NAMES))
-    return [pattern for pattern in found if pattern is not None]
+        return [pattern for pattern in found if pattern is not None]
 
 
 def _deviance(row: tuple[Fit | None, int]) -> float:
