@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from ..inference.marginal import NEGLIGIBLE
 from ..inference.predict import Predictor
 from ..inference.statistics import mean_over
 from ..robot import Robot
-from .setup_hypotheses import Mistake, as_unit, evaluated, times
+from .setup_hypotheses import Mistake, as_unit, evaluated, otherwise_described, times
 from .verdict import MISTAKEN_RATIO_MIN, QUIET_FLOORS, RESIDUAL_RATIO_MAX
 
 SAME_PLACE = 1e-6  # [1] of the arm's length, so that only rounding lies within
@@ -195,25 +194,14 @@ def _counted(predictor: Predictor, s: int, count: int, length: float) -> Iterato
         moved = tuple(
             replace(m, arc_length=at) for m, at in zip(dataset.markers, places, strict=True)
         )
-        yield from _otherwise_described(
+        yield from otherwise_described(
             predictor,
+            replace(dataset, robot=longer, markers=moved),
             'cells',
             f'with {count} cells{each} instead of {section.cells} in {place} (markers {where})',
             f'count the cells of {place}',
-            robot=longer,
-            markers=moved,
+            doubtful=True,
         )
-
-
-def _otherwise_described(
-    predictor: Predictor, name: str, sentence: str, mend: str, **changes: Any
-) -> Iterator[Mistake]:
-    """Try another description of the markers, or of the arm; effects may explain as much."""
-    mended = replace(predictor.dataset, **{'robot': predictor.robot, **changes})
-    expected = Predictor(mended, mended.robot, predictor.model.catalogue).markers({})
-    yield from evaluated(
-        predictor, expected, name, sentence, mend, True, dataset=mended, **changes
-    )
 
 
 def spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
@@ -288,11 +276,15 @@ def _elsewhere(predictor: Predictor, places: Floats, sentence: str) -> Iterator[
             dataset.markers, inside.tolist(), (places - inside).tolist(), strict=True
         )
     )
-    yield from _otherwise_described(
+    yield from otherwise_described(
         predictor,
+        replace(dataset, robot=predictor.robot, markers=moved),
         'markers_elsewhere',
         sentence,
         'check arc_length of the markers in dataset.yaml, from the base along the arm, '
         'and the number of cells',
-        markers=moved,
+        doubtful=True,
     )
+
+
+PLACES = (spots, by_distances, miscounted, otherwise_divided)  # of markers along the arm
