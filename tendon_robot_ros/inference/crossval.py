@@ -20,7 +20,7 @@ from ..common.errors import NoEquilibriumError
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
-from .description import changed_robot, with_members, with_tolerances, written_members
+from .description import changed_robot, with_members, with_values, written_members
 from .fit import LEVERAGE_MAX, Fit, covariance_root, left_out
 from .fitter import Fitter
 from .marginal import RIDGE
@@ -283,7 +283,8 @@ def described_by(session: Session, fit: Fit, beside: bool) -> Robot:
     robot = changed_robot(session.robot, session.catalogue, fit, session.dataset)
     if not beside:
         return robot
-    moved = with_tolerances(robot, session.catalogue, fit)
+    declared = list(fit.point.items())[len(fit.frees) :]  # quantities that the fit moved
+    moved = with_values(robot, session.catalogue, declared)
     return with_members(moved, fit, session.dataset.input)
 
 

@@ -75,12 +75,6 @@ def changed_robot(robot: Robot, catalogue: Catalogue, fit: Fit, dataset: DataSet
     return robot
 
 
-def with_tolerances(robot: Robot, catalogue: Catalogue, fit: Fit) -> Robot:
-    """Return a description whose declared quantities have the values to which a fit moved them."""
-    moved = list(zip(fit.all_frees, fit.values.tolist(), strict=False))[len(fit.frees) :]
-    return with_values(robot, catalogue, moved)
-
-
 def with_cells(robot: Robot, factors: Floats, digits: int = 6) -> Robot:
     """Return a description whose cells are stiffer by factors (n,)."""
     stiffness = np.concatenate([section.bending_stiffness for section in robot.sections])
