@@ -105,11 +105,11 @@ def exchanged(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     if not odd.any():
         return
     pairs = list(combinations(range(J), 2))
-    others = np.full((len(pairs), *off.shape), np.inf)
-    for k, (i, j) in enumerate(pairs):
-        order = np.arange(J)
-        order[[i, j]] = j, i
-        others[k] = np.where(odd, _off(measured[..., order, :][..., order], expected), np.inf)
+    orders = np.tile(np.arange(J), (len(pairs), 1))
+    for order, pair in zip(orders, pairs, strict=True):
+        order[list(pair)] = pair[::-1]
+    tried = [_off(measured[..., order, :][..., order], expected) for order in orders]
+    others = np.where(odd, tried, np.inf)
     best = np.argmin(others, axis=0)
     wrong = odd & (others.min(axis=0) < RESIDUAL_RATIO_MAX * off)
     if not wrong.any():
@@ -118,9 +118,8 @@ def exchanged(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     where = wrong & (best == k)
     if where.sum() < EXCHANGED_TRIALS_MIN * dataset.trials.sum():
         return
-    order = np.arange(J)
-    order[list(pairs[k])] = pairs[k][::-1]
-    positions = np.where(where[..., None, None], dataset.positions[:, :, order], dataset.positions)
+    swapped = dataset.positions[:, :, orders[k]]
+    positions = np.where(where[..., None, None], swapped, dataset.positions)
     a, b = (dataset.markers[i].name for i in pairs[k])
     which = ''
     if where.sum() != dataset.trials.sum():
