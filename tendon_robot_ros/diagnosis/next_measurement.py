@@ -15,7 +15,7 @@ from ..inference.candidates import Ranked
 from ..inference.fit import Fit
 from ..inference.imperfections import SplitPredictor, member_moves
 from ..inference.noise import Whitener, input_slopes
-from ..inference.predict import Predictor
+from ..inference.predict import Predictor, slope
 from ..inference.session import NEAR_SCORE, Session, predictors_of
 from ..workspace.postures import default_postures
 from .result import NextMeasurement
@@ -162,7 +162,7 @@ def _predicted(arm: Predictor, fit: Fit) -> Known | None:
     for free, value in fit.point.items():
         h = 1e-3 * free.parameter.typical
         moved = arm.markers({**fit.point, free: value + h})
-        columns.append(np.zeros_like(markers) if moved is None else (moved - markers) / h)
+        columns.append(slope(markers, moved, h))
     slopes = np.concatenate([np.reshape(columns, (-1, *markers.shape)), moves])
     own = slice(0, len(slopes))
     return Known(markers, slopes, np.nan_to_num(fit.covariance[own, own], posinf=UNKNOWN))

@@ -344,12 +344,7 @@ def over_reversals(session: Session, singles: list[Ranked]) -> list[Ranked]:
     if not beyond:
         return singles
     built = min(beyond, key=lambda r: r.score).fit.built
-    starts = {
-        r.candidate.label: replace(
-            r.fit, built=replace(r.fit.built, around=built.around, sizes=built.sizes)
-        )
-        for r in near
-    }
+    starts = {r.candidate.label: r.fit.started_from(built.around, built.sizes) for r in near}
     refitted = session.fit_all([r.candidate for r in near], starts, 'effects again')
     return better(better(singles, refitted), beyond)
 

@@ -36,7 +36,7 @@ from ..inference.fitter import DEVIANCE_CONVERGED, FAILURES, Fitter
 from ..inference.marginal import NEGLIGIBLE
 from ..inference.marginal import STEPS_MAX as ITERATIONS_MAX
 from ..inference.noise import Whitener, input_slopes, likely
-from ..inference.predict import FreeParameter, Point, Predictor
+from ..inference.predict import FreeParameter, Point, Predictor, slope
 from ..inference.search import DIFFERENCE_STEP, LADDER
 from ..inference.session import Question
 from ..inference.statistics import misfit_p_value, rms
@@ -111,8 +111,8 @@ class Rates:
                 step = DIFFERENCE_STEP * free.parameter.typical
                 step = step if value + step <= free.parameter.high else -step
                 start[free] = value + step
-                slope = slopes.get(free)
-                own.append(self._slope({free: value + step}, step) if slope is None else slope)
+                rate = slopes.get(free)
+                own.append(self._slope({free: value + step}, step) if rate is None else rate)
             yield Joining(block, start, 0.0, np.array(own))
 
     def _jumping(self, block: Candidate) -> Iterator[Joining]:
@@ -149,8 +149,7 @@ class Rates:
     def _slope(self, point: Point, step: float, before: Floats | None = None) -> Floats:
         """Return the slope (P, J, 3) between a point and one a step off; 0 if it cannot stand."""
         before = self.fit.markers if before is None else before
-        after = self._markers(point)
-        return np.zeros_like(before) if after is None else (after - before) / step
+        return slope(before, self._markers(point), step)
 
     def _markers(self, more: Point) -> Floats | None:
         """Return the markers (P, J, 3) [m] at the fit with more; None without equilibrium."""

@@ -110,6 +110,10 @@ class Fit:
         """Most likely imperfections by kind [unit], without the remainder."""
         return self.built.random.named(self.values[len(self.all_frees) :], self.built.sizes)
 
+    def started_from(self, around: Members, sizes: Floats) -> Fit:
+        """Return the fit as a start of another one, from other imperfections."""
+        return replace(self, built=replace(self.built, around=around, sizes=sizes))
+
     @property
     def deviance(self) -> float:
         """Return -2 log marginal likelihood up to a constant: chi² where nothing is random."""

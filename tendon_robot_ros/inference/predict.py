@@ -518,6 +518,11 @@ def _moved(predicted: tuple[Floats, SettledShapes]) -> tuple[Floats, Floats, Flo
     return markers, settled.state, settled.tensions
 
 
+def slope(before: Floats, after: Floats | None, step: float) -> Floats:
+    """Return the slope of markers (P, J, 3) over a step; 0 without an equilibrium after it."""
+    return np.zeros_like(before) if after is None else (after - before) / step
+
+
 def stiffness_factors(free: FreeParameter, value: float, n: int) -> Floats:
     """Return the factors (n,) of the cells' stiffness by a parameter that is no effect."""
     if free.effect == TAPER:
