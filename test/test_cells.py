@@ -9,6 +9,8 @@ from marks import slow
 from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.inference.description import with_cells
+from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.inference.session import Question
 
 EXACT = simulated.robot(cells=8, exact=True)
@@ -41,7 +43,8 @@ def test_the_fit_is_that_of_generalised_least_squares():
     columns = [*rest * session.whitener.white(session.imperfections.moves[CELLS:])]
     for i in range(CELLS):
         stiffness = np.where(np.arange(CELLS) == i, 1.001, 1.0)
-        moved = session.predictor.markers({}, stiffness=stiffness)
+        other = with_cells(ROBOT, stiffness, digits=12)
+        moved = Predictor(session.dataset, other, session.catalogue).markers({})
         columns.append(size * session.whitener.white(moved - here) / 1e-3)
     scatter = np.eye(len(white)) + np.array(columns).T @ np.array(columns)
     assert fit.chi2 == pytest.approx(float(white @ np.linalg.solve(scatter, white)), rel=0.02)

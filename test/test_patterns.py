@@ -7,8 +7,7 @@ import pytest
 import simulated
 from simulated import CATALOGUE, NOISE, measured
 
-from tendon_robot_ros.diagnosis.patterns import Pattern
-from tendon_robot_ros.diagnosis.patterns import patterns_of as outside
+from tendon_robot_ros.diagnosis.patterns import Pattern, Patterns
 from tendon_robot_ros.inference.session import Question
 
 ROBOT = replace(simulated.robot(), exact=True)  # scatter takes its share of every pattern
@@ -25,7 +24,8 @@ def patterns_of(dataset, robot=ROBOT):
     """Fit the patterns to measurements that the description does not explain."""
     session = Question.of(replace(dataset, robot=robot), robot, CATALOGUE).weigh({})
     fit = session.base_fit()
-    return fit, {pattern.name: pattern for pattern in outside(session.fitter, fit)}
+    found = Patterns(session.fitter, fit).fitted(session.progress)
+    return fit, {pattern.name: pattern for pattern in found}
 
 
 @pytest.mark.parametrize(('cell', 'factor'), [(4, 0.6), (7, 1.6)])
@@ -109,9 +109,9 @@ def test_a_line_that_patterns_are_far_above_changes_nothing_below_it():
     robot = replace(ROBOT, exact=False)
     session = Question.of(replace(dataset, robot=robot), robot, CATALOGUE).weigh({})
     fit = session.base_fit()
-    whole = {one.name: one for one in outside(session.fitter, fit)}
+    whole = {one.name: one for one in Patterns(session.fitter, fit).fitted(session.progress)}
     line = whole['soft_cell'].score
-    raced = {one.name: one for one in outside(session.fitter, fit, line=line)}
+    raced = {one.name: one for one in Patterns(session.fitter, fit, line).fitted(session.progress)}
     assert fit.deviance > line + 60.0, 'the base is far behind'
     assert raced['soft_cell'].deviance == pytest.approx(whole['soft_cell'].deviance, abs=1e-6)
     assert raced['soft_cell'].cell == whole['soft_cell'].cell

@@ -12,13 +12,13 @@ from ..common.processes import one_thread
 from ..common.words import listed, mm
 from ..data import DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
+from ..inference.crossval import rms_of
 from ..inference.discrepancy import since
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES
 from ..inference.outliers import find_outliers
 from ..inference.predict import FreeParameter
 from ..inference.session import NOISE_UNKNOWN, Question, Session
-from ..inference.statistics import rms
 from ..robot import RobotLike, load_robot
 from .marker_hypotheses import exchanged_in
 from .next_measurement import propose
@@ -221,14 +221,15 @@ def _result(fits: Fits, decision: Concluded) -> Diagnosis:
 
 def _mistaken(question: Question, mistake: Mistake) -> Diagnosis:
     """Return the diagnosis of a mistake; no effect is judged before it is corrected."""
-    diagnosis = _cannot_judge(question, mistake.text(_error(question)))
+    before = rms_of(question.dataset, question.robot, question.catalogue)
+    diagnosis = _cannot_judge(question, mistake.text(before))
     fields = {key: value for key, value in vars(mistake).items() if key != 'mended'}
     details = {**diagnosis.details, 'mistake': fields}
     return replace(diagnosis, error_after=mistake.after, details=details)
 
 
 def _cannot_judge(question: Question, needed: str) -> Diagnosis:
-    before = _error(question)
+    before = rms_of(question.dataset, question.robot, question.catalogue)
     return Diagnosis(
         Verdict.CANNOT_JUDGE,
         error_before=before,
@@ -237,9 +238,3 @@ def _cannot_judge(question: Question, needed: str) -> Diagnosis:
         remainder=needed,
         details={'needed': needed},
     )
-
-
-def _error(question: Question) -> float:
-    """Return the rms error [m] of the description; nan without an equilibrium."""
-    markers = question.predictor.markers({})
-    return np.nan if markers is None else rms(question.dataset.mean - markers)

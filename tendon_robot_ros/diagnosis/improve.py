@@ -31,16 +31,12 @@ from ..inference.crossval import (
     fall,
     last_worthwhile,
     left_out_squares,
+    missed,
     model_error_of,
     predict,
     written_markers,
 )
-from ..inference.description import (
-    OF_THE_ARM,
-    WRITABLE_KINDS,
-    route_changes,
-    stiffness_change,
-)
+from ..inference.description import OF_THE_ARM, WRITABLE_KINDS, route_changes, stiffness_change
 from ..inference.fit import Fit, covariance_root
 from ..inference.fitter import FAILURES
 from ..inference.imperfections import POSITION, ROTATION, SplitPredictor, imperfections
@@ -53,7 +49,7 @@ from .add import Addition, more_at_work, settle, with_origin
 from .local_tests import faults_of, local_faults
 from .report_rows import arm_report, left_out
 from .result import AS_FOUND, Improvement, ImprovementStep, total
-from .stepwise import GROUPS_MIN, PRIOR_TYPICALS, STEPS_MAX, Rates, State, Stepwise, grown
+from .stepwise import GROUPS_MIN, STEPS_MAX, Rates, State, Stepwise, grown, spread_of
 from .verdict import P_SINGLE_MIN, TOLERANCE_SD_MAX
 
 Values = dict[str, dict[str, Value]]
@@ -166,8 +162,7 @@ class AsFound:
         fit, whitener = self.fit, self.session.whitener
         blocks = [block for block in self.state.blocks if block.label in OF_THE_ARM]
         for joining in Rates(self.search.predictor, self.state).of(blocks):
-            frees = joining.block.frees
-            spread = np.array([PRIOR_TYPICALS * free.parameter.typical for free in frees])
+            spread = spread_of(joining.block.frees)
             residual, jacobian = grown(fit, joining.moves, whitener, spread)
             fit = replace(fit, residual=residual, jacobian=jacobian)
         return fit
@@ -329,10 +324,8 @@ def shown(errors: Floats, taken: int) -> list[int]:
 
 def errors_of(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> Floats:
     """Return the rms errors (J,) [m] of a description; nan without an equilibrium."""
-    markers = Predictor(dataset, robot, catalogue).markers({})
-    if markers is None:
-        return np.full(len(dataset.markers), np.nan)
-    return np.sqrt(mean_over(((dataset.mean - markers) ** 2).sum(axis=2), 0))
+    squares = (missed(dataset, robot, catalogue) ** 2).sum(axis=2)
+    return np.sqrt(mean_over(squares, 0))
 
 
 @dataclass(frozen=True)
@@ -341,7 +334,6 @@ class Searched:
 
     search: Stepwise
     states: list[State]
-    fitted: list[Floats]  # (J,) [m] errors of the description after every step
     paths: list[list[State]]  # of the searches without each fold, the last state again and again
     errors: Floats  # (K, P, J) [m²] after 0, 1, ... steps
     taken: int  # steps
@@ -356,8 +348,7 @@ class Searched:
     def by(cls, search: Stepwise, check: DataSet | None, show: Progress) -> Searched:
         """Search step by step, in turn with and without each fold, while this lowers errors."""
         walks = [search.without(held).path() for held in search.folds]
-        paths, states = [list[State]() for _ in walks], list[State]()
-        fitted, errors = list[Floats](), list[Floats]()
+        paths, states, errors = [list[State]() for _ in walks], list[State](), list[Floats]()
 
         for k, state in enumerate(search.path()):
             show('searching', k, STEPS_MAX)
@@ -365,7 +356,6 @@ class Searched:
             if k and np.isnan(after).all():
                 break  # a posture that was not used has no equilibrium
             states.append(state)
-            fitted.append(after)
             for i, (walk, path) in enumerate(zip(walks, paths, strict=True)):
                 show('searching without some postures', i, len(walks))
                 path.append(next(walk, None) or path[-1])
@@ -374,7 +364,7 @@ class Searched:
                 break
         chosen = search.squares([path[last_worthwhile(inner(path))] for path in paths])
         every = np.array(errors)
-        return cls(search, states, fitted, paths, every, how_many(states, every), chosen, check)
+        return cls(search, states, paths, every, how_many(states, every), chosen, check)
 
     def with_the_arm(self) -> Searched:
         """
@@ -408,11 +398,10 @@ class Searched:
             dropped = tuple(name for name in removed if name not in joined)
             before = self.errors[min(max(begin, 0), taken)]
             after, name = self.errors[k], ' + '.join(added)
-            steps.append(self._step(name, dropped, self.fitted[k], robots[k], before, after))
+            steps.append(self._step(name, dropped, robots[k], before, after))
         last_step, errors, robot = kept.index(taken), self.errors[taken], robots[taken]
         if self.last is not None and arm is not None:
-            fitted = errors_of(search.whole, arm.robot, search.catalogue)
-            step = self._step(AS_FOUND, (), fitted, arm.robot, errors, self.last)
+            step = self._step(AS_FOUND, (), arm.robot, errors, self.last)
             steps.insert(last_step + 1 if self.arm_written else len(steps), step)
             if self.arm_written:
                 last_step, errors, robot = last_step + 1, self.last, arm.robot
@@ -441,23 +430,14 @@ class Searched:
         )
 
     def _step(
-        self,
-        joined: str,
-        removed: tuple[str, ...],
-        fitted: Floats,
-        robot: Robot,
-        before: Floats,
-        after: Floats,
+        self, joined: str, removed: tuple[str, ...], robot: Robot, before: Floats, after: Floats
     ) -> ImprovementStep:
         """Return a step with its errors, those left out (P, J) [m²] before and after it."""
-        return ImprovementStep(
-            joined,
-            removed,
-            fitted,
-            np.sqrt(mean_over(after, 0)),
-            None if self.check is None else errors_of(self.check, robot, self.search.catalogue),
-            *fall(before, after),
-        )
+        catalogue, check = self.search.catalogue, self.check
+        fitted = errors_of(self.search.whole, robot, catalogue)
+        left_out = np.sqrt(mean_over(after, 0))
+        checked = None if check is None else errors_of(check, robot, catalogue)
+        return ImprovementStep(joined, removed, fitted, left_out, checked, *fall(before, after))
 
     def _addition(
         self, steps: Sequence[ImprovementStep], robot: Robot, markers: Floats

@@ -177,17 +177,15 @@ def faults_among(
         z, length = tests.beside(chosen[:k] + chosen[k + 1 :])
         if not np.isfinite(z[best]):
             continue
-        size, half = float(z[best] / length[best]), float(QUANTILE / length[best])
+        sd, half = float(z[best]), float(QUANTILE / length[best])
+        size = sd / float(length[best])
         alike = tuple(
             places[i].name
             for i in tests.same_kind(best, z)
             if z[i] ** 2 > z[best] ** 2 - chi2_isf(P_SEVERAL_MIN, 1)
         )
-        faults.append(
-            LocalFault(
-                places[best], size, size - half, size + half, float(z[best]), rates[k], alike
-            )
-        )
+        fault = LocalFault(places[best], size, size - half, size + half, sd, rates[k], alike)
+        faults.append(fault)
     return sorted(faults, key=lambda fault: -abs(fault.z))
 
 
@@ -256,11 +254,8 @@ class _Tests:
 
     def same_kind(self, i: int, z: Floats) -> list[int]:
         """Return the determined places of the same kind and posture, i among them."""
-        return [
-            j
-            for j, family in enumerate(self.families)
-            if family == self.families[i] and np.isfinite(z[j])
-        ]
+        same = [family == self.families[i] for family in self.families]
+        return np.flatnonzero(same & np.isfinite(z)).tolist()
 
 
 def _rates(places: Sequence[Place], z: Floats, freedom: float) -> Floats:

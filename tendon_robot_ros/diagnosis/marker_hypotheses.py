@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from ..inference.marginal import NEGLIGIBLE
 from ..inference.predict import Predictor
 from ..inference.statistics import mean_over
 from ..robot import Robot
-from .setup_hypotheses import Mistake, as_unit, evaluated, times
+from .setup_hypotheses import Mistake, as_unit, evaluated, otherwise_described, times
 from .verdict import MISTAKEN_RATIO_MIN, QUIET_FLOORS, RESIDUAL_RATIO_MAX
 
 SAME_PLACE = 1e-6  # [1] of the arm's length, so that only rounding lies within
@@ -106,11 +105,11 @@ def exchanged(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     if not odd.any():
         return
     pairs = list(combinations(range(J), 2))
-    others = np.full((len(pairs), *off.shape), np.inf)
-    for k, (i, j) in enumerate(pairs):
-        order = np.arange(J)
-        order[[i, j]] = j, i
-        others[k] = np.where(odd, _off(measured[..., order, :][..., order], expected), np.inf)
+    orders = np.tile(np.arange(J), (len(pairs), 1))
+    for order, pair in zip(orders, pairs, strict=True):
+        order[list(pair)] = pair[::-1]
+    tried = [_off(measured[..., order, :][..., order], expected) for order in orders]
+    others = np.where(odd, tried, np.inf)
     best = np.argmin(others, axis=0)
     wrong = odd & (others.min(axis=0) < RESIDUAL_RATIO_MAX * off)
     if not wrong.any():
@@ -119,9 +118,8 @@ def exchanged(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     where = wrong & (best == k)
     if where.sum() < EXCHANGED_TRIALS_MIN * dataset.trials.sum():
         return
-    order = np.arange(J)
-    order[list(pairs[k])] = pairs[k][::-1]
-    positions = np.where(where[..., None, None], dataset.positions[:, :, order], dataset.positions)
+    swapped = dataset.positions[:, :, orders[k]]
+    positions = np.where(where[..., None, None], swapped, dataset.positions)
     a, b = (dataset.markers[i].name for i in pairs[k])
     which = ''
     if where.sum() != dataset.trials.sum():
@@ -195,25 +193,14 @@ def _counted(predictor: Predictor, s: int, count: int, length: float) -> Iterato
         moved = tuple(
             replace(m, arc_length=at) for m, at in zip(dataset.markers, places, strict=True)
         )
-        yield from _otherwise_described(
+        yield from otherwise_described(
             predictor,
+            replace(dataset, robot=longer, markers=moved),
             'cells',
             f'with {count} cells{each} instead of {section.cells} in {place} (markers {where})',
             f'count the cells of {place}',
-            robot=longer,
-            markers=moved,
+            doubtful=True,
         )
-
-
-def _otherwise_described(
-    predictor: Predictor, name: str, sentence: str, mend: str, **changes: Any
-) -> Iterator[Mistake]:
-    """Try another description of the markers, or of the arm; effects may explain as much."""
-    mended = replace(predictor.dataset, **{'robot': predictor.robot, **changes})
-    expected = Predictor(mended, mended.robot, predictor.model.catalogue).markers({})
-    yield from evaluated(
-        predictor, expected, name, sentence, mend, True, dataset=mended, **changes
-    )
 
 
 def spots(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
@@ -288,11 +275,15 @@ def _elsewhere(predictor: Predictor, places: Floats, sentence: str) -> Iterator[
             dataset.markers, inside.tolist(), (places - inside).tolist(), strict=True
         )
     )
-    yield from _otherwise_described(
+    yield from otherwise_described(
         predictor,
+        replace(dataset, robot=predictor.robot, markers=moved),
         'markers_elsewhere',
         sentence,
         'check arc_length of the markers in dataset.yaml, from the base along the arm, '
         'and the number of cells',
-        markers=moved,
+        doubtful=True,
     )
+
+
+PLACES = (spots, by_distances, miscounted, otherwise_divided)  # of markers along the arm

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 
@@ -15,7 +15,7 @@ from ..inference.candidates import Ranked
 from ..inference.fit import Fit
 from ..inference.imperfections import SplitPredictor, member_moves
 from ..inference.noise import Whitener, input_slopes
-from ..inference.predict import Predictor
+from ..inference.predict import Predictor, slope
 from ..inference.session import NEAR_SCORE, Session, predictors_of
 from ..workspace.postures import default_postures
 from .result import NextMeasurement
@@ -39,34 +39,30 @@ def propose(session: Session, group: Sequence[Ranked]) -> NextMeasurement | None
 
     A difference counts after refitting: without the part that fitted parameters can imitate.
     """
-    best: tuple[float, NextMeasurement] | None = None
-    for gravity, after, inputs in _conditions(session, group):
-        worth = _compare(session, group[:6], inputs, gravity, after)
-        if worth is not None and (best is None or worth[0] > best[0]):
-            best = worth
+    compared = (_compare(session, group[:6], *one) for one in _conditions(session, group))
+    best = max(filter(None, compared), key=lambda worth: worth[0], default=None)
     return best[1] if best else None
 
 
-def _conditions(session: Session, group: Sequence[Ranked]):  # type: ignore[no-untyped-def]
-    """Yield gravity, posture to come from, and the grid of inputs."""
+def _conditions(
+    session: Session, group: Sequence[Ranked]
+) -> Iterator[tuple[Floats, Floats | None, Floats | None]]:
+    """Yield the grid of inputs, gravity where it is another, and a posture to come from."""
     if session.dataset.input == 'displacement':
-        yield (
-            None,
-            None,
-            default_postures(session.robot, GRID_POSTURES_MAX // 10, 1, 'displacement'),
-        )
+        pulls = default_postures(session.robot, GRID_POSTURES_MAX // 10, 1, 'displacement')
+        yield pulls, None, None
         return
     grid = input_grid(session.dataset, session.robot.tension_limits)
     if not len(grid):  # those used are at the limits already
         return
-    yield None, None, grid
+    yield grid, None, None
     names = {name for r in group for name in r.candidate.names}
     gravity = np.array(session.predictor.robot.gravity or (0.0, 0.0, 0.0))
     if names & session.catalogue.needing('gravity') and np.linalg.norm(gravity) > 0.0:
-        yield (-gravity).tolist(), None, grid
+        yield grid, -gravity, None
     history = names & session.catalogue.needing('history')
     if session.dataset.path != 'from_straight' and history:
-        yield None, grid[np.argmax(grid.sum(axis=1))], grid
+        yield grid, None, grid[np.argmax(grid.sum(axis=1))]
 
 
 def input_grid(dataset: DataSet, limits: tuple[float, float]) -> Floats:
@@ -120,13 +116,13 @@ def _compare(
     session: Session,
     group: Sequence[Ranked],
     inputs: Floats,
-    gravity: list[float] | None,
+    gravity: Floats | None,
     after: Floats | None,
 ) -> tuple[float, NextMeasurement] | None:
     """Return the separation of the best posture of a grid, and that posture."""
     grid, shown = as_if_measured(session.dataset, inputs, after)
     if gravity is not None:
-        grid = replace(grid, gravity=(gravity[0], gravity[1], gravity[2]))
+        grid = replace(grid, gravity=tuple(gravity.tolist()))
     predictor, arm = predictors_of(grid, session.robot, session.catalogue)
     whitener = Whitener(grid, session.noise, input_slopes(predictor, group[0].fit.point))
     known = list[Known]()
@@ -144,7 +140,7 @@ def _compare(
     return float(worth.max()), NextMeasurement(
         dict(zip(names, grid.inputs[row].round(digits).tolist(), strict=True)),
         None if after is None else dict(zip(names, after.round(3).tolist(), strict=True)),
-        gravity,
+        None if gravity is None else gravity.tolist(),
         float(apart.max()),
         noise,
         {r.candidate.label: tip.tolist() for r, tip in zip(group, tips, strict=True)},
@@ -166,7 +162,7 @@ def _predicted(arm: Predictor, fit: Fit) -> Known | None:
     for free, value in fit.point.items():
         h = 1e-3 * free.parameter.typical
         moved = arm.markers({**fit.point, free: value + h})
-        columns.append(np.zeros_like(markers) if moved is None else (moved - markers) / h)
+        columns.append(slope(markers, moved, h))
     slopes = np.concatenate([np.reshape(columns, (-1, *markers.shape)), moves])
     own = slice(0, len(slopes))
     return Known(markers, slopes, np.nan_to_num(fit.covariance[own, own], posinf=UNKNOWN))

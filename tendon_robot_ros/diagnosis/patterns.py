@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..common.arrays import Floats
+from ..common.errors import Progress
 from ..effects import Parameter
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX, Fitter
-from ..inference.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point
+from ..inference.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point, slope
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import NEAR_SCORE
 from ..inference.statistics import SIGNIFICANCE, chi2_isf, chi2_sf
@@ -178,11 +179,7 @@ class Patterns:
                 yield tangent.markers[i : i + 1]
                 continue
             moved = predictor.markers({**self.point, free: step}, near=near)
-            yield (
-                np.zeros_like(self.markers)[None]
-                if moved is None
-                else ((moved - self.markers)[None] / step)
-            )
+            yield slope(self.markers, moved, step)[None]
 
     def taper(self) -> Pattern | None:
         """Fit a stiffness that changes linearly from base to tip, mean and slope free."""
@@ -225,8 +222,8 @@ class Patterns:
         for k, (fit, i) in enumerate(fits):
             refitted = beyond if fit is best else None
             if fit is not None and refitted is None:
-                scatter = replace(fit.built, around=beyond.built.around, sizes=beyond.built.sizes)
-                refitted = self._refit(frees(i), replace(fit, built=scatter))
+                start = fit.started_from(beyond.built.around, beyond.built.sizes)
+                refitted = self._refit(frees(i), start)
             fits[k] = min((fit, i), (refitted, i), key=_deviance)
         return fits
 
@@ -312,26 +309,13 @@ class Patterns:
             values=tuple(angles.tolist()),
         )
 
-
-def patterns_of(
-    fitter: Fitter,
-    fit: Fit,
-    progress: Callable[[str, int, int], None] | None = None,
-    line: float = np.inf,
-    reversals: bool = False,
-) -> list[Pattern]:
-    """
-    Fit all patterns on top of a fit; those without equilibrium drop out.
-
-    Fits whose deviance stays far above a `line` may stop early; with `reversals` the others are
-    also tried beyond reversals of friction.
-    """
-    own, found = Patterns(fitter, fit, line, reversals), list[Pattern | None]()
-    for number, name in enumerate(NAMES, start=1):
-        found.append(getattr(own, name)())
-        if progress is not None:
+    def fitted(self, progress: Progress) -> list[Pattern]:
+        """Fit all patterns on top of the fit; those without equilibrium drop out."""
+        found = list[Pattern | None]()
+        for number, name in enumerate(NAMES, start=1):
+            found.append(getattr(self, name)())
             progress('causes outside the catalogue', number, len(NAMES))
-    return [pattern for pattern in found if pattern is not None]
+        return [pattern for pattern in found if pattern is not None]
 
 
 def _deviance(row: tuple[Fit | None, int]) -> float:

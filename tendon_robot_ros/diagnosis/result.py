@@ -178,14 +178,8 @@ class Diagnosis(TextResult):
             height = 1.6 + 0.3 * max(len(rows), len(self.remainder) // 60)
             axes = plt.figure(figsize=(6.4, height), layout='constrained').add_subplot()
         if not rows:
-            axes.text(
-                0.5,
-                0.5,
-                fill(f'{self.verdict}: {self.remainder}', 60),
-                ha='center',
-                va='center',
-                transform=axes.transAxes,
-            )
+            centred: dict[str, Any] = {'ha': 'center', 'va': 'center', 'transform': axes.transAxes}
+            axes.text(0.5, 0.5, fill(f'{self.verdict}: {self.remainder}', 60), **centred)
             axes.set_axis_off()
             return axes
         chosen = {effect.name for effect in self.effects}

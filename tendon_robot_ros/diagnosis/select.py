@@ -20,7 +20,7 @@ from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
 from ..inference.search import DIFFERENCE_STEP, LADDER, sized
 from ..inference.session import NEAR_SCORE, Question, Session, better
 from ..inference.statistics import first_of_best
-from .patterns import Pattern, patterns_of
+from .patterns import Pattern, Patterns
 from .placed import fit_placed, ways
 from .verdict import (
     ALARM_LEVEL,
@@ -79,9 +79,9 @@ class Fits:
         return self.alone
 
     def patterns_on(self, fit: Fit, line: float = np.inf) -> list[Pattern]:
-        """Return the patterns on top of a fit; see `patterns_of`."""
+        """Return the patterns on top of a fit; see `Patterns`."""
         session = self.session
-        return patterns_of(session.fitter, fit, session.progress, line, self.reversed)
+        return Patterns(session.fitter, fit, line, self.reversed).fitted(session.progress)
 
     def answer[T](self, rule: Callable[[Evidence], T]) -> T:
         """Return what a rule says; what it asks for is fitted."""
@@ -344,12 +344,7 @@ def over_reversals(session: Session, singles: list[Ranked]) -> list[Ranked]:
     if not beyond:
         return singles
     built = min(beyond, key=lambda r: r.score).fit.built
-    starts = {
-        r.candidate.label: replace(
-            r.fit, built=replace(r.fit.built, around=built.around, sizes=built.sizes)
-        )
-        for r in near
-    }
+    starts = {r.candidate.label: r.fit.started_from(built.around, built.sizes) for r in near}
     refitted = session.fit_all([r.candidate for r in near], starts, 'effects again')
     return better(better(singles, refitted), beyond)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations, permutations, product
@@ -15,6 +16,7 @@ from ..common.arrays import Floats
 from ..common.rotations import rigid_fit, rotation_angle, rotation_between
 from ..common.words import STANDARD_GRAVITY
 from ..data import DataSet
+from ..inference.description import DIGITS_OF_THE_ARM, scaled
 from ..inference.marginal import NEGLIGIBLE
 from ..inference.predict import Point, Predictor
 from ..inference.statistics import mean_over, rms
@@ -127,13 +129,25 @@ def evaluated(
     dataset: DataSet | None = None,
     **changes: Any,
 ) -> Iterator[Mistake]:
-    """Yield a mistake with its corrected data set and rms; nothing without equilibrium."""
+    """
+    Yield a mistake with its corrected data set and rms; nothing without equilibrium.
+
+    The corrected one is the `dataset`, else that of the predictor with its robot and `changes`.
+    """
     if predicted is None or not np.isfinite(predicted).all():
         return
-    mended = replace(dataset or predictor.dataset, **{'robot': predictor.robot, **changes})
-    mended = in_frame(predictor, mended, predicted)
+    described = {'robot': predictor.robot, **changes}
+    mended = in_frame(predictor, dataset or replace(predictor.dataset, **described), predicted)
     after = rms(mended.mean - predicted)
     yield Mistake(name, sentence, mend, after, mended, doubtful, certain=certain)
+
+
+def otherwise_described(
+    predictor: Predictor, mended: DataSet, name: str, sentence: str, mend: str, doubtful: bool
+) -> Iterator[Mistake]:
+    """Try a data set with another description of the arm, or of its markers."""
+    expected = Predictor(mended, mended.robot, predictor.model.catalogue).markers({})
+    yield from evaluated(predictor, expected, name, sentence, mend, doubtful, dataset=mended)
 
 
 def times(factor: float) -> str:
@@ -233,7 +247,8 @@ def moved_rows(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         ('moved by one row up', np.roll(np.arange(P), -1), slice(None, -1)),
         ('in reverse order', np.arange(P)[::-1], slice(None)),
     ):
-        moved = replace(dataset, positions=dataset.positions[rows], trial_inputs=None)
+        positions = dataset.positions[rows]
+        moved = replace(dataset, robot=predictor.robot, positions=positions, trial_inputs=None)
         yield from evaluated(
             predictor,
             markers[kept],
@@ -309,45 +324,39 @@ def wrong_units(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
 def wrong_offsets(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try tendons that run twice or half as far from the centre as described."""
     for factor in (0.5, 2.0):
-        tendons = tuple(
-            replace(
-                tendon,
-                base=(factor * tendon.base[0], factor * tendon.base[1]),
-                end=(factor * tendon.end[0], factor * tendon.end[1]),
-            )
-            for tendon in predictor.robot.tendons
-        )
+        tendons = tuple(scaled(one, factor, DIGITS_OF_THE_ARM) for one in predictor.robot.tendons)
         if any(tendon.offsets for tendon in tendons):
             return
-        robot = replace(predictor.robot, tendons=tendons)
-        yield from evaluated(
+        yield from otherwise_described(
             predictor,
-            Predictor(predictor.dataset, robot, predictor.model.catalogue).markers({}),
+            replace(predictor.dataset, robot=replace(predictor.robot, tendons=tendons)),
             'offsets',
             f'with the offsets of the tendons {times(factor)}',
             'check the offsets [m] of the description (diameter for radius?)',
-            robot=robot,
+            doubtful=False,
         )
 
 
 def wrong_stiffness(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try a bending stiffness that is wrong by a factor: of a unit, or of a diameter."""
     for factor, why in STIFFNESS_FACTORS.items():
-        stiffer = np.full(predictor.model.arrays.chain.n, factor)
         sections = tuple(
             s
             if s.is_plate
             else replace(s, bending_stiffness=tuple(factor * k for k in s.bending_stiffness))
             for s in predictor.robot.sections
         )
-        yield from evaluated(
+        yield from otherwise_described(
             predictor,
-            predictor.markers({}, stiffness=stiffer),
+            replace(predictor.dataset, robot=replace(predictor.robot, sections=sections)),
             'stiffness',
             f'with the bending stiffness {times(factor)}',
             f'check how it was worked out ({why}?): modulus, diameter, length of a cell',
-            robot=replace(predictor.robot, sections=sections),
+            doubtful=False,
         )
+
+
+SIZES = (wrong_units, wrong_offsets, wrong_stiffness)  # numbers that are off by a factor
 
 
 def gravities(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
@@ -369,8 +378,9 @@ def gravities(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
         vector = np.round(much * axis, 9) + 0.0
         if np.allclose(vector, described):
             continue
-        with predictor.under_gravity(vector):
-            moved = predictor.markers({})
+        turned = copy(predictor)  # in all parts of the data set
+        turned.parts = [replace(part, gravity=vector) for part in predictor.parts]
+        moved = turned.markers({})
         level = predictor.robot.tolerances.get('rotation', 0.0) >= FRAME_HARDLY_KNOWN_RAD
         rotations = [rotation_between(described, vector)] if level and size > 0.0 else []
         x, y, z = vector.tolist()

@@ -25,18 +25,10 @@ from ..inference.predict import Point, Predictor
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import Session
 from ..inference.statistics import mean_over, rms
-from .marker_hypotheses import (
-    by_distances,
-    exchanged,
-    in_one_place,
-    miscounted,
-    numbered,
-    otherwise_divided,
-    spots,
-    uncut,
-)
+from .marker_hypotheses import PLACES, exchanged, in_one_place, miscounted, numbered, uncut
 from .result import Diagnosis
 from .setup_hypotheses import (
+    SIZES,
     Mistake,
     dead_input,
     dead_inputs,
@@ -48,9 +40,6 @@ from .setup_hypotheses import (
     registered,
     swapped_inputs,
     turned_axes,
-    wrong_offsets,
-    wrong_stiffness,
-    wrong_units,
 )
 from .verdict import (
     EFFECTS_MAX,
@@ -65,36 +54,20 @@ from .verdict import (
 
 # The simplest first: a free registration can imitate some of the others. It can also imitate a
 # tilted base, which is an effect: only a gross error is attributed to it.
-DISCRETE = (
-    swapped_inputs,
-    loose_inputs,
-    numbered,
-    moved_rows,
-    wrong_units,
-    wrong_offsets,
-    wrong_stiffness,
-    gravities,
-    spots,
-    by_distances,
-    miscounted,
-    otherwise_divided,
-    turned_axes,
-)
+ORDERS = (swapped_inputs, loose_inputs, numbered, moved_rows)
+DISCRETE = (*ORDERS, *SIZES, gravities, *PLACES, turned_axes)
 HYPOTHESES = (*DISCRETE, registered)
 BESIDE_EFFECTS = (*DISCRETE, dead_inputs)  # the last one has fitted values
 NEARLY_EFFECTS = (gravities,)  # a load can imitate the weight of a light arm
 # that can happen to an arm between two recordings of it, while others are in both, and cancel
-NEW_MISTAKES = (swapped_inputs, loose_inputs, numbered, moved_rows, dead_inputs)
+NEW_MISTAKES = (*ORDERS, dead_inputs)
+OF_INPUTS = (swapped_inputs, *SIZES)  # that can be why there is no equilibrium
 STEPS_FEW = 8  # [1] of a fit, because hundreds are made and none is reported
 # [1] postures of a long recording, because a mistake of the set-up shows in every one of them
 SCREENED_POSTURES = 24
 CUT_AS_GOOD_RATIO = 1.05  # [1] to the least error, so that the fewest cells are reported
 Hypothesis = Callable[[Predictor, Floats], Iterable[Mistake]]
 WEIGHT = ('gravity', 'linear_density')  # known from a scale, so that no tolerance is a factor
-
-
-# that can be why there is no equilibrium
-OF_INPUTS = (swapped_inputs, wrong_units, wrong_offsets, wrong_stiffness)
 
 
 def find_mistake(predictor: Predictor, floor: float, usual: float = 0.0) -> Mistake | None:

@@ -36,10 +36,10 @@ from ..inference.fitter import DEVIANCE_CONVERGED, FAILURES, Fitter
 from ..inference.marginal import NEGLIGIBLE
 from ..inference.marginal import STEPS_MAX as ITERATIONS_MAX
 from ..inference.noise import Whitener, input_slopes, likely
-from ..inference.predict import FreeParameter, Point, Predictor
+from ..inference.predict import FreeParameter, Point, Predictor, slope
 from ..inference.search import DIFFERENCE_STEP, LADDER
 from ..inference.session import Question
-from ..inference.statistics import chi2_sf, f_sf, rms
+from ..inference.statistics import misfit_p_value, rms
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
 from .select import overlaps
@@ -111,8 +111,8 @@ class Rates:
                 step = DIFFERENCE_STEP * free.parameter.typical
                 step = step if value + step <= free.parameter.high else -step
                 start[free] = value + step
-                slope = slopes.get(free)
-                own.append(self._slope({free: value + step}, step) if slope is None else slope)
+                rate = slopes.get(free)
+                own.append(self._slope({free: value + step}, step) if rate is None else rate)
             yield Joining(block, start, 0.0, np.array(own))
 
     def _jumping(self, block: Candidate) -> Iterator[Joining]:
@@ -149,8 +149,7 @@ class Rates:
     def _slope(self, point: Point, step: float, before: Floats | None = None) -> Floats:
         """Return the slope (P, J, 3) between a point and one a step off; 0 if it cannot stand."""
         before = self.fit.markers if before is None else before
-        after = self._markers(point)
-        return np.zeros_like(before) if after is None else (after - before) / step
+        return slope(before, self._markers(point), step)
 
     def _markers(self, more: Point) -> Floats | None:
         """Return the markers (P, J, 3) [m] at the fit with more; None without equilibrium."""
@@ -161,6 +160,11 @@ def jumps(block: Candidate, predictor: Predictor) -> bool:
     """Return whether the description lacks an effect of a block that acts whatever its value."""
     catalogue, present = predictor.model.catalogue, predictor.robot.effects
     return any(n in catalogue and n not in present and catalogue[n].always_on for n in block.names)
+
+
+def spread_of(frees: Sequence[FreeParameter]) -> Floats:
+    """Return the standard deviations (q,) of the priors of parameters."""
+    return np.array([PRIOR_TYPICALS * free.parameter.typical for free in frees])
 
 
 def promised(residual: Floats, jacobian: Floats, whitener: Whitener, groups: Groups) -> float:
@@ -457,7 +461,7 @@ class Stepwise:
         residual, jacobian = fit.residual, fit.jacobian
         if joining is not None:
             frees = joining.block.frees
-            spread = np.array([PRIOR_TYPICALS * free.parameter.typical for free in frees])
+            spread = spread_of(frees)
             back = np.zeros(len(frees))
             if np.any(joining.change):
                 back += [joining.start[free] - self.predictor.start(free) for free in frees]
@@ -489,13 +493,8 @@ class Stepwise:
         start = start if all_count else self.fits.get(names, start)
         frees = tuple(free for block in blocks for free in block.frees)
         priors = [
-            Nuisance(
-                free.effect,
-                free,
-                self.predictor.start(free),
-                PRIOR_TYPICALS * free.parameter.typical,
-            )
-            for free in frees
+            Nuisance(free.effect, free, self.predictor.start(free), sd)
+            for free, sd in zip(frees, spread_of(frees).tolist(), strict=True)
         ]
         fitter = Fitter(self.predictor, whitener, priors)
         low = np.array([free.parameter.low for free in frees])
@@ -527,9 +526,7 @@ class Stepwise:
         """Return the p-value of the residual under noise alone, on postures not held out."""
         white = self.plain.white(self.measured - state.fit.markers)
         chi2, freedom = float(white @ white), max(len(white) - len(state.fit.frees), 1)
-        if not np.isfinite(self.noise.freedom):
-            return chi2_sf(chi2, freedom)
-        return f_sf(chi2 / freedom, freedom, self.noise.freedom)
+        return misfit_p_value(chi2, freedom, self.noise.freedom)
 
     def written(self, state: State) -> Robot:
         """Return the description with the fitted values of a state."""

@@ -232,6 +232,13 @@ class Missing(LookupError):
         self.part, self.names, self.score = part, names, score
 
 
+def known[T](value: T | None, part: str, names: Names = (), score: float = math.inf) -> T:
+    """Return a part of the evidence; `Missing` where it is not yet known."""
+    if value is None:
+        raise Missing(part, names, score)
+    return value
+
+
 @dataclass(frozen=True)
 class Conclusion[H, R]:
     """A verdict and its reasons."""
@@ -270,12 +277,10 @@ def differs(evidence: Evidence, one: Hypothesis, scale: float = 1.0) -> bool:
 
     In one of its parameters, or in all together (Wald test); `scale` multiplies the covariance.
     """
-    if one.names not in evidence.departures:
-        raise Missing('departures', one.names)
     return all(
         own.farthest > half_width_sd(SIGNIFICANCE) * math.sqrt(scale)
         or chi2_sf(own.together / scale, max(own.count, 1)) <= SIGNIFICANCE
-        for own in evidence.departures[one.names]
+        for own in known(evidence.departures.get(one.names), 'departures', one.names)
     )
 
 
@@ -285,9 +290,7 @@ def outside_by_itself(evidence: Evidence) -> Rival | None:
 
     An effect whose place had to be found is none where single postures determine it.
     """
-    if evidence.patterns is None:
-        raise Missing('patterns')
-    everywhere = [one for one in evidence.patterns if one.everywhere]
+    everywhere = [one for one in known(evidence.patterns, 'patterns') if one.everywhere]
     return _best_beyond_chance(
         [one for one in everywhere if not one.placed or one.placed.trust > P_SINGLE_MIN]
     )
@@ -339,9 +342,8 @@ def _best_first(group: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 def _places(evidence: Evidence, score: float) -> list[Hypothesis]:
     """Return the adequate effects whose place had to be found, up to a score."""
-    if evidence.rivals is None:
-        raise Missing('rivals', score=score)
-    every = [one.placed for one in evidence.rivals if one.placed is not None]
+    rivals = known(evidence.rivals, 'rivals', score=score)
+    every = [one.placed for one in rivals if one.placed is not None]
     near = [one for one in every if one.score <= score and one.probability > P_SINGLE_MIN]
     return [one for one in near if differs(evidence, one)]
 
@@ -365,9 +367,7 @@ def _without_places(evidence: Evidence) -> Concluded:
     if best is None:
         raise Missing('combined')
     if evidence.as_built:
-        if evidence.further is None:
-            raise Missing('further', best.names)
-        for more in evidence.further:
+        for more in known(evidence.further, 'further', best.names):
             if differs(evidence, more):
                 return Conclusion(Verdict.SEVERAL, more)
     return _named(evidence, [*group, *_places(evidence, best.score - LIKELIER_FROM_SCORE)])
@@ -382,7 +382,7 @@ def _of_several(evidence: Evidence, combined: Sequence[Hypothesis]) -> Concluded
         rival = _competing(evidence, min(one.score for one in tried))
     if holding and rival is None:
         return Conclusion(Verdict.SEVERAL, holding[0])
-    helpful = _helpful(evidence)
+    helpful = known(evidence.helpful, 'helpful')
     return _outside(evidence, first_of_best(helpful) if helpful else None, rival)
 
 
@@ -405,17 +405,13 @@ def indistinct(evidence: Evidence) -> list[Hypothesis]:
     Of the `contenders` a larger one that contains a smaller one drops out; among ties the first of
     the catalogue is best.
     """
-    near = contenders(evidence.singles)
-    if evidence.wider is None:
-        raise Missing('wider')
-    return _best_first([one for one in near if one.names not in evidence.wider])
+    near, wider = contenders(evidence.singles), known(evidence.wider, 'wider')
+    return _best_first([one for one in near if one.names not in wider])
 
 
 def _competing(evidence: Evidence, score: float, names: Names = ()) -> Rival | None:
     """Return the rival beyond chance whose score is much better than that of `names`, if any."""
-    if evidence.rivals is None:
-        raise Missing('rivals', names, score)
-    top = _best_beyond_chance(evidence.rivals)
+    top = _best_beyond_chance(known(evidence.rivals, 'rivals', names, score))
     return top if top and top.score < score - APART_FROM_SCORE else None
 
 
@@ -449,15 +445,8 @@ def _outside(evidence: Evidence, best: Hypothesis | None, rival: Rival | None) -
         return Conclusion(Verdict.OUTSIDE_CATALOGUE, rival=rival, scale=scale)
     near = [
         ' + '.join(one.names)
-        for one in _helpful(evidence)
+        for one in known(evidence.helpful, 'helpful')
         if one.score <= best.score + apart and one.names != best.names
     ]
     together = (' + '.join(best.names), *near) if near else ()
     return Conclusion(Verdict.OUTSIDE_CATALOGUE, best, together, rival=rival, scale=scale)
-
-
-def _helpful(evidence: Evidence) -> Sequence[Hypothesis]:
-    """Return the effects that may be a part of the cause."""
-    if evidence.helpful is None:
-        raise Missing('helpful')
-    return evidence.helpful

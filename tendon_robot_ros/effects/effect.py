@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from string import Formatter
@@ -197,46 +197,43 @@ class Effect:
             values of sections or tendons where its stage has none.
 
         """
-        if self.stage not in STAGES:
-            raise EffectError(
-                f'effect {self.name}: expected a stage of {", ".join(STAGES)}, got {self.stage!r}'
-            )
-        if not set(self.needs.split()) <= set(NEEDS):
-            raise EffectError(
-                f'effect {self.name}: needs: expected one of {", ".join(NEEDS)}, '
-                f'got {self.needs!r}'
-            )
-        takes = len(inspect.signature(self.law).parameters)
-        inputs = [quantity.name for quantity in STAGES[self.stage].inputs]
-        wanted = len(inputs) + len(self.parameters)
-        if takes != wanted:
-            raise EffectError(
-                f'effect {self.name}: its law takes {takes} arguments, expected {wanted}: '
-                f'{", ".join(inputs)}, then {", ".join(p.name for p in self.parameters)}'
-            )
-        fields = [p.name for p in self.parameters]
-        named = {field for _, field, _, _ in Formatter().parse(self.finding) if field}
-        if unknown := named - {*fields, 'size', 'direction', 'postures', 'place'}:
-            raise EffectError(
-                f'effect {self.name}: finding: expected fields of {", ".join(fields)}, size, '
-                f'direction, postures and place, got {", ".join(sorted(unknown))}'
-            )
-        for parameter in self.parameters:
-            if not parameter.low <= parameter.neutral <= parameter.high:
-                raise EffectError(
-                    f'effect {self.name}: {parameter.name}: expected low <= neutral '
-                    f'<= high, got {parameter}'
-                )
-            if parameter.per not in ('', self.values_of):
-                more = f', or one per {self.values_of}' if self.values_of else ''
-                raise EffectError(
-                    f'effect {self.name}: {parameter.name}: expected one value{more} at the stage '
-                    f'{self.stage}, got one per {parameter.per}'
-                )
+        for problem in self._problems():
+            raise EffectError(f'effect {self.name}: {problem}')
         source = inspect.getsourcefile(self.law)
         with open(source or '', 'rb') as file:  # which may hold several laws
             text = file.read() + self.law.__qualname__.encode()
         object.__setattr__(self, 'digest', hashlib.sha256(text).hexdigest()[:16])
+
+    def _problems(self) -> Iterator[str]:
+        """Yield what the kernel could not call."""
+        if self.stage not in STAGES:
+            yield f'expected a stage of {", ".join(STAGES)}, got {self.stage!r}'
+        if not set(self.needs.split()) <= set(NEEDS):
+            yield f'needs: expected one of {", ".join(NEEDS)}, got {self.needs!r}'
+        takes = len(inspect.signature(self.law).parameters)
+        fields = [p.name for p in self.parameters]
+        inputs = [quantity.name for quantity in STAGES[self.stage].inputs]
+        wanted = len(inputs) + len(fields)
+        if takes != wanted:
+            yield (
+                f'its law takes {takes} arguments, expected {wanted}: '
+                f'{", ".join(inputs)}, then {", ".join(fields)}'
+            )
+        named = {field for _, field, _, _ in Formatter().parse(self.finding) if field}
+        if unknown := named - {*fields, 'size', 'direction', 'postures', 'place'}:
+            yield (
+                f'finding: expected fields of {", ".join(fields)}, size, direction, postures and '
+                f'place, got {", ".join(sorted(unknown))}'
+            )
+        for parameter in self.parameters:
+            if not parameter.low <= parameter.neutral <= parameter.high:
+                yield f'{parameter.name}: expected low <= neutral <= high, got {parameter}'
+            if parameter.per not in ('', self.values_of):
+                more = f', or one per {self.values_of}' if self.values_of else ''
+                yield (
+                    f'{parameter.name}: expected one value{more} at the stage {self.stage}, '
+                    f'got one per {parameter.per}'
+                )
 
     @property
     def values_of(self) -> str:

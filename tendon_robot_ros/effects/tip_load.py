@@ -4,18 +4,7 @@ from .effect import Effect, wrench
 
 
 def law(
-    x,
-    y,
-    z,
-    about_x,
-    about_y,
-    about_z,
-    force_x,
-    force_y,
-    force_z,
-    moment_x,
-    moment_y,
-    moment_z,
+    x, y, z, about_x, about_y, about_z, force_x, force_y, force_z, moment_x, moment_y, moment_z
 ):
     """Add a force and a moment in the base frame, whatever the posture."""
     return (

@@ -6,10 +6,9 @@ The error on postures left out also decides whether the arm as it was found is w
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +20,7 @@ from ..common.errors import NoEquilibriumError
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
-from .description import changed_robot, with_members, with_tolerances, written_members
+from .description import changed_robot, with_members, with_values, written_members
 from .fit import LEVERAGE_MAX, Fit, covariance_root, left_out
 from .fitter import Fitter
 from .marginal import RIDGE
@@ -48,17 +47,13 @@ class Errors:
     before: float
     after: float
     floor: float | None  # of a perfect model; None: the noise is not known
-    alone: float | None = None  # with the effects, the arm otherwise as described; None: as after
+    # with the effects, the arm otherwise as described; None: as after, nan: without an equilibrium
+    alone: float | None = None
 
     @property
     def gone(self) -> float | None:
         """Explained fraction of the error above the floor; None where there was none."""
         return explained_fraction(self.before, self.after, self.floor or 0.0)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain data for JSON; an effect without an equilibrium alone has no error."""
-        unknown = self.alone is not None and not math.isfinite(self.alone)
-        return {**vars(self), 'alone': None if unknown else self.alone}
 
 
 def explained_fraction(before: float, after: float, floor: float) -> float | None:
@@ -96,9 +91,16 @@ def rms_of(
     dataset: DataSet, robot: Robot, catalogue: Catalogue, near: SettledShapes | None = None
 ) -> float:
     """Return the rms error [m] of a description without any fit; nan without an equilibrium."""
+    return rms(missed(dataset, robot, catalogue, near))
+
+
+def missed(
+    dataset: DataSet, robot: Robot, catalogue: Catalogue, near: SettledShapes | None = None
+) -> Floats:
+    """Return measured minus predicted markers (P, J, 3) [m]; nan without an equilibrium."""
     predictor = Predictor(dataset, robot, catalogue)
     markers = predictor.markers({}, near=None if predictor.carries else near)
-    return np.nan if markers is None else rms(dataset.mean - markers)
+    return dataset.mean - (np.nan if markers is None else markers)
 
 
 def predict(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> tuple[Predictor, Floats]:
@@ -281,7 +283,8 @@ def described_by(session: Session, fit: Fit, beside: bool) -> Robot:
     robot = changed_robot(session.robot, session.catalogue, fit, session.dataset)
     if not beside:
         return robot
-    moved = with_tolerances(robot, session.catalogue, fit)
+    declared = list(fit.point.items())[len(fit.frees) :]  # quantities that the fit moved
+    moved = with_values(robot, session.catalogue, declared)
     return with_members(moved, fit, session.dataset.input)
 
 

@@ -18,7 +18,7 @@ from ..common.arrays import Floats
 from ..data import DataSet
 from ..effects import Catalogue, Parameter
 from ..robot import Robot
-from ..robot.description import EffectValues, helix_angles, tendon_offsets
+from ..robot.description import EffectValues, Tendon, helix_angles, tendon_offsets
 from .candidates import Candidate
 from .fit import Fit
 from .imperfections import GAIN, HOLE, POSITION, ROTATION, ZERO
@@ -75,12 +75,6 @@ def changed_robot(robot: Robot, catalogue: Catalogue, fit: Fit, dataset: DataSet
     return robot
 
 
-def with_tolerances(robot: Robot, catalogue: Catalogue, fit: Fit) -> Robot:
-    """Return a description whose declared quantities have the values to which a fit moved them."""
-    moved = list(zip(fit.all_frees, fit.values.tolist(), strict=False))[len(fit.frees) :]
-    return with_values(robot, catalogue, moved)
-
-
 def with_cells(robot: Robot, factors: Floats, digits: int = 6) -> Robot:
     """Return a description whose cells are stiffer by factors (n,)."""
     stiffness = np.concatenate([section.bending_stiffness for section in robot.sections])
@@ -116,16 +110,8 @@ def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
         for change, members in zip(values.get(GAIN, ()), robot.input_tendons, strict=False):
             scale[list(members)] *= 1.0 + change
     scale *= 1.0 + values.get(HOLE, np.zeros(len(scale)))
-    tendons = tuple(
-        replace(
-            t,
-            base=_scaled(t.base, factor),
-            end=_scaled(t.end, factor),
-            offsets=tuple(_scaled(own, factor) for own in t.offsets),
-        )
-        for t, factor in zip(robot.tendons, scale.tolist(), strict=True)
-    )
-    robot = replace(robot, tendons=tendons)
+    tendons = map(scaled, robot.tendons, scale.tolist())
+    robot = replace(robot, tendons=tuple(tendons))
     robot = robot if input == 'tension' else wound(robot, values)
     name = 'base_misalignment'
     moved = [(POSITION, 'shift'), (ROTATION, 'rotation')]
@@ -157,8 +143,13 @@ def wound(robot: Robot, members: dict[str, Floats]) -> Robot:
     return robot
 
 
-def _scaled(offset: tuple[float, float], factor: float, digits: int = 6) -> tuple[float, float]:
-    return (_short(offset[0] * factor, digits), _short(offset[1] * factor, digits))
+def scaled(tendon: Tendon, factor: float, digits: int = 6) -> Tendon:
+    """Return a tendon that runs so many times as far from the centre."""
+    base, end, *offsets = (
+        (_short(x * factor, digits), _short(y * factor, digits))
+        for x, y in (tendon.base, tendon.end, *tendon.offsets)
+    )
+    return replace(tendon, base=base, end=end, offsets=tuple(offsets))
 
 
 def _short(value: float, digits: int = 6) -> float:
@@ -179,15 +170,12 @@ class DescribedArm(Predictor):
         """Value that the description gives a parameter; of the arm itself: its change, none."""
         return 0.0 if free.effect in OF_THE_ARM else super().value(free)
 
-    def set_parameters(
-        self, point: Point, part: Conditions, stiffness: Floats | None = None
-    ) -> None:
+    def set_parameters(self, point: Point, part: Conditions) -> None:
         """Set the parameters of the model, and the arm itself; see `Predictor.set_parameters`."""
         effects = {free: v for free, v in point.items() if free.effect not in OF_THE_ARM}
+        super().set_parameters(effects, part)
         if profile := profile_of(point):
-            own = profile_factors(profile, self.robot)
-            stiffness = own if stiffness is None else own * stiffness
-        super().set_parameters(effects, part, stiffness)
+            self.model.arrays.cells[:, 1] *= profile_factors(profile, self.robot)
         moved = {free: v for free, v in point.items() if free.effect == ROUTES and v != 0.0}
         if moved != self._moved:
             robot = _winding(rerouted(self.described, moved))
@@ -231,34 +219,24 @@ def profile_factors(coefficients: Sequence[float], robot: Robot) -> Floats:
 
 def rerouted(robot: Robot, point: Point) -> Robot:
     """Return the description with tendons that are turned at the base [rad] and wind [rad/m]."""
-    change = {
-        (free.column, free.parameter.name): value
-        for free, value in point.items()
-        if free.effect == ROUTES
-    }
-    tendons = [*robot.tendons]
-    for i, tendon in enumerate(robot.tendons):
-        turn = change.get((i, 'turn'), 0.0)
+    tendons, changes = list[Tendon](), route_changes(point)
+    for tendon in robot.tendons:
+        turn, helix = changes.get(tendon.name, (0.0, 0.0))
         c, s = math.cos(turn), math.sin(turn)
         base, end = ((c * x - s * y, s * x + c * y) for x, y in (tendon.base, tendon.end))
-        helix = tendon.helix + change.get((i, 'helix'), 0.0)
-        tendons[i] = replace(tendon, base=base, end=end, helix=helix)
+        tendons.append(replace(tendon, base=base, end=end, helix=tendon.helix + helix))
     return replace(robot, tendons=tuple(tendons))
 
 
 def arm_with(robot: Robot, point: Point) -> Robot:
     """Return the description with what a point says of the arm itself."""
     if any(free.effect == ROUTES for free in point):
-        tendons = tuple(
-            replace(
-                t,
-                base=_scaled(t.base, 1.0, DIGITS_OF_THE_ARM),
-                end=_scaled(t.end, 1.0, DIGITS_OF_THE_ARM),
-                helix=_short(t.helix, DIGITS_OF_THE_ARM),
-            )
+        digits = DIGITS_OF_THE_ARM
+        tendons = (
+            replace(scaled(t, 1.0, digits), helix=_short(t.helix, digits))
             for t in rerouted(robot, point).tendons
         )
-        robot = replace(robot, tendons=tendons)
+        robot = replace(robot, tendons=tuple(tendons))
     profile = profile_of(point)
     if not profile:
         return robot
@@ -279,7 +257,10 @@ def route_changes(point: Point) -> dict[str, tuple[float, float]]:
         for free, value in point.items()
         if free.effect == ROUTES
     }
-    return {name: (values[name, 'turn'], values[name, 'helix']) for name, _ in values}
+    return {
+        name: (values.get((name, 'turn'), 0.0), values.get((name, 'helix'), 0.0))
+        for name, _ in values
+    }
 
 
 def _winding(robot: Robot) -> Robot:

@@ -13,7 +13,7 @@ from ..common.arrays import Floats
 from .imperfections import Kind, Members
 from .marginal import Prior, RandomEffects, Sizes, root_inverse
 from .predict import FreeParameter, SettledShapes, Tangent
-from .statistics import SIGNIFICANCE, chi2_sf, f_sf, half_width_sd
+from .statistics import SIGNIFICANCE, chi2_sf, half_width_sd, misfit_p_value
 
 LEVERAGE_MAX = 0.999  # [1] of a value on its own prediction, else rounding would predict it
 FREEDOM_MANY = 1e3  # [1] of a variance, because t and F are then their limits to three digits
@@ -110,6 +110,10 @@ class Fit:
         """Most likely imperfections by kind [unit], without the remainder."""
         return self.built.random.named(self.values[len(self.all_frees) :], self.built.sizes)
 
+    def started_from(self, around: Members, sizes: Floats) -> Fit:
+        """Return the fit as a start of another one, from other imperfections."""
+        return replace(self, built=replace(self.built, around=around, sizes=sizes))
+
     @property
     def deviance(self) -> float:
         """Return -2 log marginal likelihood up to a constant: chi² where nothing is random."""
@@ -184,10 +188,7 @@ class Fit:
 
         Of an arm as built the p-value of the remainder, where that is smaller.
         """
-        if not np.isfinite(noise_freedom):
-            chance = chi2_sf(self.chi2, self.freedom)
-        else:
-            chance = f_sf(self.chi2 / max(self.freedom, 1), self.freedom, noise_freedom)
+        chance = misfit_p_value(self.chi2, self.freedom, noise_freedom)
         gain = self.remainder_gain
         return min(chance, 0.5 * chi2_sf(gain, 1)) if gain > 0.0 else chance
 

@@ -12,12 +12,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.estimation import STEP_LENGTHS
 from .fit import Fit, Nuisance, with_imperfections
-from .imperfections import (
-    GAIN,
-    KINDS_WITH_FEW_MEMBERS,
-    Imperfections,
-    Members,
-)
+from .imperfections import GAIN, KINDS_WITH_FEW_MEMBERS, Imperfections, Members
 from .marginal import STEPS_MAX, Prior, RandomEffects, Sizes
 from .noise import Whitener
 from .predict import FreeParameter, Point, Predictor, SettledShapes
@@ -196,9 +191,8 @@ class Fitter:
                 reversals += [(curved, {**few, GAIN: values}) for values in sides]
         best = fit
         for _, members in sorted(reversals, key=lambda row: -row[0])[: 2 * BEST_FEW]:
-            scatter = replace(fit.built, around=members, sizes=self.random.start)
             with suppress(*FAILURES):
-                start = replace(fit, built=scatter)
+                start = fit.started_from(members, self.random.start)
                 other = self.fit(fit.frees, start, hopeless=best.deviance)
                 best = min(best, other, key=lambda one: one.deviance)
         self.resume(best)

@@ -169,13 +169,11 @@ class SplitPredictor(Predictor):
             return 0.0
         return float(known.get(HOLE, PLAUSIBLE_SIZES[HOLE][1]))
 
-    def set_parameters(
-        self, point: Point, part: Conditions, stiffness: Floats | None = None
-    ) -> None:
+    def set_parameters(self, point: Point, part: Conditions) -> None:
         """Set the parameters and imperfections; see `Predictor.set_parameters`."""
         off, arrays = self.around, self.model.arrays
-        own = 1.0 + off.get(CELLS, np.zeros(self.robot.cells))
-        super().set_parameters(point, part, own if stiffness is None else own * stiffness)
+        super().set_parameters(point, part)
+        arrays.cells[:, 1] *= 1.0 + off.get(CELLS, 0.0)
         arrays.offset[:] = self._offsets * (1.0 + off.get(HOLE, np.zeros(1))[None, :, None])
         kinks = self.kinks()
         if kinks.any():
@@ -273,18 +271,14 @@ def member_moves(split: SplitPredictor, point: Point, kinds: Sequence[Kind]) -> 
     )
 
 
-def pushes(predictor: Predictor, point: Point, arc_lengths: Floats | None = None) -> Floats | None:
+def pushes(predictor: Predictor, point: Point, arc_lengths: Floats) -> Floats | None:
     """
     Return the slopes of the markers by forces at places along the arm, (n, 3, P, J, 3) [m/N].
 
-    By default at the middle of every cell. None where the model has no equilibrium or remembers,
-    or where a force along the arm is described already.
+    None where the model has no equilibrium or remembers, or where a force along the arm is
+    described already.
     """
     robot = predictor.robot
-    arrays = predictor.model.arrays
-    if arc_lengths is None:
-        lengths = arrays.cells[:, 0]
-        arc_lengths = np.cumsum(lengths) - 0.5 * lengths
     if predictor.model.remembers or PUSH in robot.effects or predictor.markers(point) is None:
         return None
     effect = predictor.model.catalogue[PUSH].sized(natural_sizes(robot))

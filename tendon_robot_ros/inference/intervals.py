@@ -287,14 +287,10 @@ def vector_rows(frees: Sequence[FreeParameter], effect: str) -> list[int]:
     """Return which free parameters are x, y and z of the force of an effect; none: it has none."""
     rows = {f.key: i for i, f in enumerate(frees) if (f.effect, f.parameter.unit) == (effect, 'N')}
     stems = [key.removesuffix('_x') for key in rows if key.endswith('_x')]
-    return next(
-        (
-            [rows[f'{stem}_{axis}'] for axis in 'xyz']
-            for stem in stems
-            if {f'{stem}_y', f'{stem}_z'} <= set(rows)
-        ),
-        [],
-    )
+    for stem in stems:
+        if {f'{stem}_y', f'{stem}_z'} <= set(rows):
+            return [rows[f'{stem}_{axis}'] for axis in 'xyz']
+    return []
 
 
 class SizeIntervals:

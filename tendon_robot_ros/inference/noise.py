@@ -72,15 +72,12 @@ def input_slopes(predictor: Predictor, point: Point) -> Floats:
     sizes = np.abs(np.nan_to_num(inputs))
     steps = relative * sizes
     for j in range(inputs.shape[1]):
-        side = []
-        for sign in (1.0, -1.0):
-            moved = inputs.copy()
-            moved[:, j] += sign * steps[:, j]
-            side.append(predictor.markers(point, moved))
-        if side[0] is None or side[1] is None:
+        step = np.where(np.arange(inputs.shape[1]) == j, steps, 0.0)
+        up, down = (predictor.markers(point, inputs + side) for side in (step, -step))
+        if up is None or down is None:
             continue
         width = np.where(steps[:, j] > 0.0, 2.0 * steps[:, j], np.inf)
-        slopes[:, j] = (side[0] - side[1]) * (sizes[:, j] / width)[:, None, None]
+        slopes[:, j] = (up - down) * (sizes[:, j] / width)[:, None, None]
     return slopes
 
 

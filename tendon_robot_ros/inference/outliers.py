@@ -94,12 +94,17 @@ def outlier_limits(sizes: Floats, freedom: Counts) -> Floats:
     largest of all is beyond its limit by chance with `FALSE_OUTLIER_PROBABILITY`.
     """
     valid = np.isfinite(sizes) & (freedom > 0)
-    limits = np.full(sizes.shape, np.inf)
-    if valid.any():
-        p, known = FALSE_OUTLIER_PROBABILITY / int(valid.sum()), int(freedom[valid].sum())
-        for k in np.unique(freedom[valid]).tolist():
-            factor = np.sqrt(k * f_isf(p, k, MEDIAN_EFFICIENCY * known))
-            limits[freedom == k] = factor * _spread(sizes, freedom)
+    limits = np.sqrt(_squared_limits(np.where(valid, freedom, 0)))
+    limits[valid] *= _spread(sizes, freedom)
+    return limits
+
+
+def _squared_limits(freedom: Counts) -> Floats:
+    """Return the limits (...) of sums of squares of unit spread; infinite for no freedom."""
+    limits, known = np.full(freedom.shape, np.inf), freedom[freedom > 0]
+    for k in np.unique(known).tolist():
+        p = FALSE_OUTLIER_PROBABILITY / len(known)
+        limits[freedom == k] = k * f_isf(p, k, MEDIAN_EFFICIENCY * int(known.sum()))
     return limits
 
 
@@ -172,11 +177,7 @@ def _beyond(residuals: dict[int, _Deviations]) -> tuple[Floats, Floats]:
     readings = surely * sizes / outlier_limits(sizes, freedom)
     weights = _weights(moved, strengths, max(_spread(sizes, freedom), RESOLUTION) ** 2)
     many = (strengths > 0.0).sum(axis=2)
-    limits = np.full(moved.shape, np.inf)
-    for k in np.unique(many[many > 0]).tolist():
-        p, known = FALSE_OUTLIER_PROBABILITY / int((many > 0).sum()), int(many.sum())
-        far = k * f_isf(p, k, MEDIAN_EFFICIENCY * known)
-        limits[many == k] = far * weights[many == k].max(axis=1)
+    limits = _squared_limits(many) * np.where(many > 0, weights.max(axis=2), 1.0)
     return readings, np.sqrt(moved / limits)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,13 +14,7 @@ from ..common.errors import EffectError, TendonRobotError
 from ..data import DataSet, Part
 from ..data.visits import Visits
 from ..effects import Catalogue, Effect, Parameter
-from ..model.derivatives import (
-    DIFFERENCE_STEP,
-    Move,
-    PathSlopes,
-    follow,
-    tensions_by_pulls,
-)
+from ..model.derivatives import DIFFERENCE_STEP, Move, PathSlopes, follow, tensions_by_pulls
 from ..model.forward import TOLERANCE
 from ..model.model import Model
 from ..model.pulls import pull_shapes, transmitted, unknown_slopes
@@ -203,11 +197,8 @@ class Predictor:
             for part, rows in dataset.divided
         ]
         arrays = self.model.arrays
-        self._values, self._on, self._cells = (
-            arrays.values.copy(),
-            arrays.on.copy(),
-            arrays.cells.copy(),
-        )
+        own = (arrays.values, arrays.on, arrays.cells)
+        self._values, self._on, self._cells = (array.copy() for array in own)
         self.inputs = mean_inputs(dataset)
         self.visits = None if dataset.visits is None else dataset.visits.masked(dataset.trial_mask)
         self._shown = (dataset.trials > 0) | (dataset.thinned_from == 0)
@@ -232,7 +223,6 @@ class Predictor:
         self,
         point: Point,
         inputs: Floats | None = None,
-        stiffness: Floats | None = None,
         near: SettledShapes | None = None,
     ) -> Floats | None:
         """
@@ -244,8 +234,6 @@ class Predictor:
             Values of freed parameters; all others as described.
         inputs : (P, m) [N] or [m], optional
             Instead of the data set's.
-        stiffness : (n,) [1], optional
-            Factor on the bending stiffness of every cell.
         near : SettledShapes, optional
             To start from (`settled` of a neighbouring point); default: the first one.
 
@@ -256,7 +244,7 @@ class Predictor:
         P, n = len(inputs), self.model.arrays.chain.n
         placed, stand_in = np.empty((P, len(self.dataset.markers), 3)), np.zeros(P, dtype=int)
         settled = SettledShapes(np.empty(inputs.shape), np.empty((P, 3 * n)))
-        for part, shapes in self.settle(point, inputs, stiffness, near):
+        for part, shapes in self.settle(point, inputs, near):
             if shapes is None:
                 return None
             last = shapes.of(self.last_visits(part))
@@ -387,15 +375,12 @@ class Predictor:
 
     def _on_the_way(self, point: Point, settled: SettledShapes) -> SettledShapes:
         """Return the equilibria of all postures, those between the measured ones included."""
-        before, shown, self._shown = self.settled, self._shown, np.ones_like(self._shown)
-        try:
-            todo = not (shown.all() or self.carries)
-            if todo and self.markers(point, near=settled) is not None:
-                assert self.settled is not None
-                return self.settled
+        every = copy(self)
+        every._shown = np.ones_like(self._shown)
+        if self._shown.all() or self.carries or every.markers(point, near=settled) is None:
             return settled
-        finally:
-            self.settled, self._shown = before, shown
+        assert every.settled is not None
+        return every.settled
 
     def _path_tangent(
         self, point: Point, frees: Sequence[FreeParameter], settled: SettledShapes
@@ -442,11 +427,7 @@ class Predictor:
         return tuple(names)
 
     def settle(
-        self,
-        point: Point,
-        inputs: Floats,
-        stiffness: Floats | None = None,
-        near: SettledShapes | None = None,
+        self, point: Point, inputs: Floats, near: SettledShapes | None = None
     ) -> Iterator[tuple[Conditions, ShapeBatch | None]]:
         """
         Yield each part of the postures and its shapes, the model as it is set there.
@@ -455,7 +436,7 @@ class Predictor:
         shape for every visit.
         """
         for conditions in self.parts:
-            self.set_parameters(point, conditions, stiffness)
+            self.set_parameters(point, conditions)
             part = self.predicted(conditions)
             start = None if near is None else near.of(part.rows)
             visits, own = self._visits(part), inputs[part.rows]
@@ -514,25 +495,11 @@ class Predictor:
         placed = shapes.markers(self.dataset.arc_lengths, self.dataset.offsets)
         return self.model.measured(placed)
 
-    @contextmanager
-    def under_gravity(self, vector: Floats) -> Iterator[None]:
-        """Let a gravity (3,) [m/s²] act on all postures while the block runs."""
-        before = self.parts
-        self.parts = [replace(part, gravity=vector) for part in before]
-        try:
-            yield
-        finally:
-            self.parts = before
-
-    def set_parameters(
-        self, point: Point, part: Conditions, stiffness: Floats | None = None
-    ) -> None:
+    def set_parameters(self, point: Point, part: Conditions) -> None:
         """Set the parameters of the model for one part of the postures; see `markers`."""
         arrays = self.model.arrays
         arrays.values[:], arrays.on[:], arrays.cells[:] = self._values, self._on, self._cells
         arrays.gravity[:] = part.gravity
-        if stiffness is not None:
-            arrays.cells[:, 1] *= stiffness
         for free, value in point.items():
             if free.effect in STIFFNESS:
                 arrays.cells[:, 1] *= stiffness_factors(free, value, len(arrays.cells))
@@ -546,6 +513,11 @@ def _moved(predicted: tuple[Floats, SettledShapes]) -> tuple[Floats, Floats, Flo
     """Return markers, states and tensions of a prediction, in the order of `Tangent`."""
     markers, settled = predicted
     return markers, settled.state, settled.tensions
+
+
+def slope(before: Floats, after: Floats | None, step: float) -> Floats:
+    """Return the slope of markers (P, J, 3) over a step; 0 without an equilibrium after it."""
+    return np.zeros_like(before) if after is None else (after - before) / step
 
 
 def stiffness_factors(free: FreeParameter, value: float, n: int) -> Floats:

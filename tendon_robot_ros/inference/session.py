@@ -17,14 +17,7 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
-from .candidates import (
-    Candidate,
-    Ranked,
-    candidates_of,
-    gain_p_value,
-    is_tested,
-    nuisances_of,
-)
+from .candidates import Candidate, Ranked, candidates_of, gain_p_value, is_tested, nuisances_of
 from .fit import Fit, Nuisance
 from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
 from .imperfections import REMAINDER, Imperfections, Members, SplitPredictor, imperfections
@@ -47,21 +40,19 @@ Starts = Mapping[str, Fit | Point]
 
 
 def race(
-    fitter: Fitter, candidates: Sequence[Candidate], starts: Starts, done: Callable[[], None]
+    fitter: Fitter, candidates: Sequence[Candidate], starts: Starts, ended: Callable[[int], None]
 ) -> list[tuple[Candidate, Fit]]:
     """
     Fit candidates from `starts` by their labels; those without equilibrium drop out.
 
     Round by round, a fit stops if its score, less its expected further gain, is more than
-    `NEAR_SCORE` behind the best one. `done` is called for every fit that ends.
+    `NEAR_SCORE` behind the best one. `ended` is told after every round how many have ended.
     """
-    descents, fits = dict[int, Descent](), dict[int, Fit]()
+    descents, fits = dict[int, Descent](), list[tuple[Candidate, Fit]]()
     for i, candidate in enumerate(candidates):
-        try:
+        with suppress(*FAILURES):
             search = fitter.search(candidate.frees, starts.get(candidate.label))
             descents[i] = Descent(fitter, search)
-        except FAILURES:
-            done()
 
     def score(i: int) -> float:
         return descents[i].place.deviance + 2.0 * len(candidates[i].frees)
@@ -75,22 +66,18 @@ def race(
             except FAILURES:
                 del descents[i]
         limit = min(map(score, descents), default=np.inf) + NEAR_SCORE
-        left = [
+        racing = [
             i
-            for i in racing
-            if i in descents
-            and not descents[i].converged
-            and score(i) - GAINS_TO_COME * descents[i].gain <= limit
+            for i, descent in descents.items()
+            if i in racing
+            and not descent.converged
+            and score(i) - GAINS_TO_COME * descent.gain <= limit
         ]
-        for i in racing:
-            if i in left:
-                continue
-            with suppress(*FAILURES):
-                if i in descents:
-                    fits[i] = descents[i].fit()
-            done()
-        racing = left
-    return [(candidates[i], fits[i]) for i in sorted(fits)]
+        ended(len(candidates) - len(racing))
+    for i, descent in descents.items():
+        with suppress(*FAILURES):
+            fits.append((candidates[i], descent.fit()))
+    return fits
 
 
 @dataclass(frozen=True)
@@ -110,11 +97,7 @@ class Question:
 
     @classmethod
     def of(
-        cls,
-        dataset: DataSet,
-        robot: Robot,
-        catalogue: Catalogue,
-        progress: Progress | None = None,
+        cls, dataset: DataSet, robot: Robot, catalogue: Catalogue, progress: Progress | None = None
     ) -> Question:
         """Build the predictors; a long recording is thinned."""
         used, sized = dataset.thinned(POSTURES_MAX), catalogue.sized(natural_sizes(robot))
@@ -306,14 +289,11 @@ class Session(Question):
         `starts` are fits of the candidates or of a part of their effects. Of an arm as built fits
         that are far behind the best stop early.
         """
-        finished = 0
-
-        def one_more() -> None:
-            nonlocal finished
-            finished = min(finished + 1, len(candidates))
-            self.progress(what, finished, len(candidates))
-
-        return [self.rank(*one) for one in race(self.fitter, candidates, starts or {}, one_more)]
+        count = len(candidates)
+        fits = race(
+            self.fitter, candidates, starts or {}, lambda ended: self.progress(what, ended, count)
+        )
+        return [self.rank(*one) for one in fits]
 
     def fit_joint(
         self, candidates: Sequence[Candidate], starts: Mapping[str, Fit], what: str

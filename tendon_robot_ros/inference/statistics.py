@@ -58,6 +58,13 @@ def f_sf(x: float, upper: float, lower: float) -> float:
     return float(special.fdtrc(upper, lower, x)) if x > 0.0 and min(upper, lower) > 0.0 else 1.0
 
 
+def misfit_p_value(chi2: float, freedom: float, noise_freedom: float) -> float:
+    """Probability of a larger chi², the noise in it estimated with some degrees of freedom."""
+    if not np.isfinite(noise_freedom):
+        return chi2_sf(chi2, freedom)
+    return f_sf(chi2 / max(freedom, 1), freedom, noise_freedom)
+
+
 def f_isf(p: float, upper: float, lower: float) -> float:
     """F with (upper, lower) degrees of freedom that is exceeded with probability p."""
     return float(1.0 / special.fdtri(lower, upper, p))  # of 1 / F; 1 - p would lose digits
