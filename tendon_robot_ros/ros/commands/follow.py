@@ -21,27 +21,11 @@ from ...control.inputs import Trajectory
 from ...control.target_search import keep_out_refusal
 from ...data.bag_reader import is_bag, opened
 from ...data.csv_file import csv_text
-from ...data.path_files import (
-    NO_PATH,
-    PathRun,
-    Places,
-    TendonRows,
-    TipRows,
-    read_moves,
-    read_path,
-)
+from ...data.path_files import NO_PATH, PathRun, Places, TendonRows, TipRows, read_moves, read_path
 from ...drivers.safety import CYCLE_MAX_S
 from ...model.model import Model
 from ...model.shape import Shape
-from ...paths.path import (
-    Pace,
-    Plan,
-    retreat,
-    set_points,
-    stretched,
-    thinned,
-    tip_path,
-)
+from ...paths.path import Pace, Plan, retreat, set_points, stretched, thinned, tip_path
 from ...report.pictures import draw_run, path_lines, place
 from ...robot.keep_out import KeepOut, load_keep_out, text_of
 from ..controller.topics import POINTS_MAX

@@ -53,13 +53,7 @@ from ..shared.lifecycle import OK, WARN, Status
 from ..shared.messages import offer_trigger, points_of, seconds, tensions_and_pulls, time_now
 from ..shared.parameters import parsed
 from ..shared.quality import STATE
-from ..shared.robot_client import (
-    MESSAGES_MAX,
-    TIP_AVERAGE_S,
-    WORKING_CODES,
-    Pilot,
-    add_controller,
-)
+from ..shared.robot_client import MESSAGES_MAX, TIP_AVERAGE_S, WORKING_CODES, Pilot, add_controller
 from ..shared.runtime import SPIN_S, Ending, repeat, ros
 from ..shared.timing import ANSWER_TIMEOUT_S, REACTION_TIMEOUT_S, SILENCE_S, STATUS_PERIOD_S
 
