@@ -403,11 +403,7 @@ def test_an_undo_that_the_controller_refuses_can_be_asked_for_again(monkeypatch)
     monkeypatch.setattr(Adapting, '_log_change', lambda *_: None)
     monkeypatch.setattr(watching.interface, 'topic', lambda name: ())
     adapting = Adapting(
-        MagicMock(),
-        MagicMock(),
-        MagicMock(),
-        'kato_10_1',
-        lambda _, answer: answers.append(answer),
+        MagicMock(), MagicMock(), 'kato_10_1', lambda _, answer: answers.append(answer)
     )
     adapting._adaptation = adaptation
     adapting.undo()

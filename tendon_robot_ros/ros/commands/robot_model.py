@@ -23,19 +23,18 @@ from ...robot import Robot, load_robot
 from ...robot.urdf import joint_angles, joint_names, transforms, urdf
 from ..shared import interface
 from ..shared.messages import matrix, quaternion, refilled
-from ..shared.parameters import Parameters, watch_robot
-from ..shared.runtime import Runnable, run
+from ..shared.parameters import ParameterNode, watch_robot
+from ..shared.runtime import run
 
 HELP = 'show RViz and Foxglove the robot: URDF, joints, frames'
 
 
-class RobotModelNode(Runnable):
+class RobotModelNode(ParameterNode):
     """Converts predicted shapes to joints and frames of the URDF."""
 
     def __init__(self) -> None:
         """Read the robot of the parameter, or request that of the controller."""
         super().__init__('robot_model')
-        self.parameters = Parameters(self, 'robot_model')
         controller = self.parameters['controller']
         self._robot: Robot | None = None
         self._prefix = ''

@@ -36,7 +36,6 @@ from ..shared import interface
 from ..shared.inbox import Answer, Inbox, Received, Service, subscribe_any_qos
 from ..shared.lifecycle import LEVELS, Status, StoppableNode
 from ..shared.messages import header_now, passing_subscription, refilled, stamp_now
-from ..shared.parameters import Parameters
 from ..shared.quality import JOINTS, LISTEN
 from ..shared.runtime import has_priority, repeat, run
 from ..shared.senders import OwnPublisher, Senders, gid_text
@@ -67,7 +66,6 @@ class ControllerNode(StoppableNode):
     def __init__(self) -> None:
         """Declare parameters and start to load the model; nothing is commanded yet."""
         super().__init__('controller', drives=False)
-        self.parameters = Parameters(self, 'controller')
         self.status = Status(self, 'control')
         self.core: ControllerCore | None = None
         self._loading = ModelLoading(self.parameters)
@@ -131,7 +129,7 @@ class ControllerNode(StoppableNode):
         self._solver = Worker(self._wake)  # last: of a refused attempt no thread stays
         core = ControllerCore(model, settings, self._solver)
         core.driver_reports(*self._driver.last)
-        self._incoming = Incoming(self, self.parameters, model)
+        self._incoming = Incoming(self, model)
         self._prediction = Prediction(self, self._incoming)
         self.core = core
         self.latch_early_stops()

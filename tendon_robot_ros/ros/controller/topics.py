@@ -28,7 +28,7 @@ from ...model.model import Model
 from ...model.shape import Shape
 from ...robot.estimates import natural_sizes
 from ..shared import interface, messages
-from ..shared.parameters import Parameters, base_frame
+from ..shared.parameters import ParameterNode, base_frame
 from ..shared.quality import LATCHED
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 
@@ -39,9 +39,9 @@ POINTS_MAX = 500
 class Incoming:
     """Converts messages to targets, twists and states; Refusal: a message is invalid."""
 
-    def __init__(self, node: Node, parameters: Parameters, model: Model) -> None:
+    def __init__(self, node: ParameterNode, model: Model) -> None:
         """Create the transforms and use a model."""
-        self._node, self._parameters = node, parameters
+        self._node, self._parameters = node, node.parameters
         self._frames = messages.Frames(node, '')
         self.use(model)
 

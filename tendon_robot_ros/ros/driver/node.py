@@ -29,7 +29,6 @@ from ..shared import interface
 from ..shared.inbox import Inbox, Received
 from ..shared.lifecycle import ERROR, OK, WARN, Status, StoppableNode
 from ..shared.messages import check_age, offer_trigger, refilled, stamp_now
-from ..shared.parameters import Parameters
 from ..shared.quality import JOINTS
 from ..shared.runtime import end_requested, has_priority, on_end_request, repeat, run
 from ..shared.senders import OwnPublisher, Senders, gid_text
@@ -58,7 +57,6 @@ class DriverNode(StoppableNode):
     def __init__(self) -> None:
         """Declare the parameters; no device is opened yet."""
         super().__init__('driver', drives=True)
-        self.parameters = Parameters(self, 'driver')
         self.parameters.watch({'mock_fault': self._inject}, self._retune)
         self.status = Status(self, 'motors')
         self.loop: MotorLoop | None = None
@@ -114,7 +112,7 @@ class DriverNode(StoppableNode):
             driver, supervisor, 1.0 / self.parameters['rate'], self._report, self._receive
         )
         if isinstance(driver, MockDriver):
-            self._tracker = MockTracker(self, driver, tracker, self.parameters)
+            self._tracker = MockTracker(self, driver, tracker)
         self.latch_early_stops()
         self.loop.start()
         if has_priority():  # a mock arm computes: motors of another robot have priority

@@ -19,8 +19,7 @@ from ...drivers.safety import StopLatch
 from . import interface
 from .inbox import STOP_REASON, Service, StopTopic
 from .messages import stamp_now
-from .parameters import Parameters
-from .runtime import Runnable
+from .parameters import ParameterNode
 from .timing import NEWS_PERIOD_S, RETRY_PERIOD_S, STATUS_PERIOD_S, VALUES_PERIOD_S
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -28,7 +27,7 @@ LEVELS = {'ok': OK, 'warn': WARN, 'error': ERROR}
 STOP_CALLED = 'stop was called'
 
 
-class StoppableNode(Runnable, LifecycleNode):
+class StoppableNode(ParameterNode, LifecycleNode):
     """
     A lifecycle node whose transitions are plain methods, and that can be stopped at once.
 
@@ -47,7 +46,6 @@ class StoppableNode(Runnable, LifecycleNode):
 
     """
 
-    parameters: Parameters
     status: Status
 
     def __init__(self, name: str, drives: bool) -> None:
