@@ -64,20 +64,14 @@ class GoTo:
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the arguments."""
+        add = parser.add_argument
         for axis in 'xyz':
-            parser.add_argument(axis, help='a number in --unit, or with its own: 60, 60mm, 0.06m')
-        parser.add_argument(
-            '--unit', choices=TYPED_LENGTHS, default=TYPED_LENGTHS[0], help='(default: mm)'
-        )
-        parser.add_argument(
-            '--direction',
-            type=float,
-            nargs=3,
-            metavar=('DX', 'DY', 'DZ'),
-            help='where the tip is to look, of any length (default: as it comes)',
-        )
+            add(axis, help='a number in --unit, or with its own: 60, 60mm, 0.06m')
+        add('--unit', choices=TYPED_LENGTHS, default=TYPED_LENGTHS[0], help='(default: mm)')
+        what = 'where the tip is to look, of any length (default: as it comes)'
+        add('--direction', type=float, nargs=3, metavar=('DX', 'DY', 'DZ'), help=what)
         add_controller(parser)
-        parser.add_argument('--json', **JSON_OPTION)
+        add('--json', **JSON_OPTION)
 
     def run(self, args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         """Send a target and wait until the arm is at rest."""
@@ -142,12 +136,10 @@ class Follow:
             text = f'at most so many {text} (default: {value:.3g})'
             add(f'--{name}', type=float, default=value, metavar='LIMIT', help=text)
         add('--keep-out', metavar='YAML', help='regions that no part of the arm may enter')
-        to = file_to_write('--picture')
-        add(
-            '--picture', type=to, default='follow.png', metavar='PNG', help='(default: follow.png)'
-        )
+        to, what = file_to_write('--picture'), '(default: follow.png)'
+        add('--picture', type=to, default='follow.png', metavar='PNG', help=what)
         add_controller(parser)
-        parser.add_argument('--json', **JSON_OPTION)
+        add('--json', **JSON_OPTION)
 
     def run(self, args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         """Follow and report; Ctrl-C leaves the arm at its present target."""
