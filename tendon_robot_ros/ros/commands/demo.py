@@ -141,8 +141,7 @@ def draw(path: Path, model: Model, outcomes: Sequence[Outcome]) -> None:
 
     figure = Figure(figsize=(7.0, 6.0), layout='constrained')
     axes = figure.add_subplot()
-    ends = np.cumsum(model.robot.cell_lengths)
-    straight = np.outer(ends, [0.0, 0.0, 1.0])[None]
+    straight = np.outer(np.cumsum(model.robot.cell_lengths), [0.0, 0.0, 1.0])[None]
     plot_arms(straight, axes, linestyle=':', marker='', color=ERROR, label='straight')
     for outcome, color in zip(outcomes, COLOURS, strict=False):
         posture = outcome.target

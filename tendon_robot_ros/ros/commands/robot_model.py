@@ -69,8 +69,7 @@ class RobotModelNode(ParameterNode):
         frames = np.array([matrix(pose.orientation) for pose in message.poses])
         angles = joint_angles(robot, frames)
         stamp = message.header.stamp
-        joints = JointState(name=joint_names(robot))
-        self._joints.publish(refilled(joints, stamp, angles, None))
+        self._joints.publish(refilled(JointState(name=joint_names(robot)), stamp, angles, None))
         if self._broadcaster is not None:
             self._broadcaster.sendTransform(stamped(robot, angles, self._prefix, stamp))
 
