@@ -249,7 +249,6 @@ class Busy(LetGo):
 
     def __init__(self, codes):
         self.codes, self.sent, self.errors = list(codes), 0, []
-        self._executor = self
 
     def _rest(self):
         return np.zeros(4)
@@ -258,7 +257,7 @@ class Busy(LetGo):
         self.sent += 1
         return str(self.sent)
 
-    def spin_once(self, timeout_sec):
+    def serve(self, timeout):
         time.sleep(0.01)
         code = self.codes.pop(0) if len(self.codes) > 1 else self.codes[0]
         stamp = str(self.sent) if code.startswith('play') else 'of another'

@@ -235,7 +235,7 @@ class RunningArm(Pilot):
                     break
                 if self.status.get('target_stamp') != stamp and now - sent > ANSWER_TIMEOUT_S:
                     stamp, sent = self.play(self._move(rest)), now
-                self._executor.spin_once(timeout_sec=SPIN_S)
+                self.serve(SPIN_S)
 
     def attend(self) -> None:
         """Serve a message that has come; StoppedError: the service `~/stop` was called."""
@@ -399,8 +399,7 @@ class Investigator:
                 better = str((folder / BETTER).resolve())
                 accepted, reason = self.arm.put('model', better, 2.0 * REACTION_TIMEOUT_S)
                 answer = 'uses it' if accepted else f'refuses it: {reason}'
-                text = f'the controller {answer}'
-                self.publish_news(News('sent', text, {'taken': accepted}))
+                self.publish_news(News('sent', f'the controller {answer}', {'taken': accepted}))
             return findings
         finally:
             self._busy = False

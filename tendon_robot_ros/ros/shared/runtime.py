@@ -23,7 +23,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import IO, Any
+from typing import IO, Any, Self
 
 import rclpy
 import rclpy.utilities
@@ -161,6 +161,33 @@ class Runnable(Node):
 
     def end(self) -> None:
         """End safely, while messages are still sent."""
+
+
+class ClientNode(Node):
+    """A node that serves its own messages, when it is asked to; it ends with a `with` block."""
+
+    def __init__(self, name: str, **options: Any) -> None:
+        """Create the node and its executor; options as of a node of rclpy."""
+        super().__init__(name, **options)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self)
+
+    def serve(self, timeout: float) -> None:
+        """Serve one message, if one comes within `timeout` [s]."""
+        self._executor.spin_once(timeout_sec=timeout)
+
+    def destroy_node(self) -> None:
+        """Shut down the executor and destroy the node."""
+        self._executor.shutdown()
+        super().destroy_node()
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Destroy the node."""
+        self.destroy_node()
 
 
 def without_shared_memory() -> None:
