@@ -172,7 +172,7 @@ class DriverNode(StoppableNode):
         loop, message, what = self.loop, received.message, 'tendon_command'
         if loop is None:
             return
-        check_age(self, message.header, what, self.parameters['stamp_tolerance'])
+        check_age(self, message.header, what)
         if not message.name:
             if self._senders.counts(time.monotonic(), received):
                 loop.let_go(NO_MORE)

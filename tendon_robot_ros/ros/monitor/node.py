@@ -312,7 +312,7 @@ class MarkerInput:
         take: Callable[[float, Floats], None],
     ) -> None:
         """Create the subscriptions; InputError: a parameter is invalid."""
-        self._node, self._parameters, self._taker = node, node.parameters, take
+        self._node, self._taker = node, take
         self._monitor, self.markers, self.problem = monitor, monitor.markers, ''
         self._waiting: tuple[float, Floats] | None = None
         self._frames = messages.Frames(node, base)
@@ -388,9 +388,8 @@ class MarkerInput:
     def _in_base(self, header: Header, points: Floats, what: str) -> tuple[float, Floats] | None:
         """Return time [s] and positions (J, 3) [m] in the base frame; None: they are refused."""
         try:
-            tolerance = self._parameters['stamp_tolerance']
-            now = messages.check_age(self._node, header, what, tolerance)
-            rotation, translation = self._fixed or self._frames.of(header, what, tolerance)
+            now = messages.check_age(self._node, header, what)
+            rotation, translation = self._fixed or self._frames.of(header, what)
         except Refusal as refusal:
             self.problem = str(refusal)
             return None
