@@ -128,8 +128,7 @@ class MonitorNode(ParameterNode):
                 self._measured = MarkerInput(self, self._base, monitor, self._frame)
                 if self.parameters['force_rate'] or self.parameters['reference_postures']:
                     self.watching = Watching(self, monitor)
-                send = self._remote.put
-                self.adapting = Adapting(self, monitor, self._loading, send)
+                self.adapting = Adapting(self, monitor, self._loading, self._remote.put)
                 self.monitor = monitor
             else:
                 self.monitor.set_model(model)
@@ -275,8 +274,7 @@ class MonitorNode(ParameterNode):
         if self.work.running:
             raise InputError('a diagnosis runs already')
         folder = Path(self.parameters['folder']) / datetime.now().strftime('%Y-%m-%d_%H-%M-%S_%f')
-        dataset = monitor.dataset('this recording')
-        save_dataset(dataset, folder.resolve())
+        save_dataset(monitor.dataset('this recording'), folder.resolve())
         monitor.recording, monitor.kept = False, True
         self.work.diagnose(folder.resolve(), self.parameters['effects'])
         return f'diagnosing {len(monitor.recorded)} postures: {folder}'
