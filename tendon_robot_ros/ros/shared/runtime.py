@@ -55,7 +55,7 @@ class Ending:
     the main thread returns to the interpreter: 0.1 s in an executor, and longer in a model.
     """
 
-    current: Ending | None = None
+    current: Ending  # the last one that was made
 
     def __init__(self, first: bool = False) -> None:
         """Start without a request; `first`: the process has priority over others."""
@@ -133,20 +133,7 @@ class Ending:
             receiver.close()
 
 
-def end_requested() -> bool:
-    """Return whether a signal came; for long work that can be cancelled."""
-    return Ending.current is not None and bool(Ending.current.signal)
-
-
-def has_priority() -> bool:
-    """Return whether this process has priority: it was started to move motors."""
-    return Ending.current is not None and Ending.current.first
-
-
-def on_end_request(action: Callable[[], object]) -> None:
-    """Have a function called by another thread as soon as a signal comes."""
-    if Ending.current is not None:
-        Ending.current.then(action)
+Ending()  # of a process in which `ros` has not made one
 
 
 class Runnable(Node):
