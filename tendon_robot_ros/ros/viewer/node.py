@@ -128,8 +128,7 @@ class ViewerNode(ParameterNode):
             'investigate/progress': lambda m: state.add_investigation(m.data),
         }
         for topic, callback in topics.items():
-            at = names.get(topic.partition('/')[0], '')
-            interface.subscribe(self, topic, callback, at)
+            interface.subscribe(self, topic, callback, names.get(topic.partition('/')[0], ''))
 
     def _cycle(self) -> None:
         """Handle clicks, draw the arms, and update the panel every `PANEL_PERIOD_S`."""
