@@ -217,6 +217,7 @@ class LetGo(Hesitating):
     """A running arm whose driver lets go after a path was sent."""
 
     _go, clear, settle = RunningArm._go, RunningArm.clear, RunningArm.settle
+    play_to_the_end = RunningArm.play_to_the_end
     require_good, settled = RunningArm.require_good, RunningArm.settled
     status, _status_at, _since = {'code': 'playing'}, 0.0, np.inf
 

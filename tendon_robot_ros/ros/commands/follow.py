@@ -300,11 +300,9 @@ def run_tips(pilot: Pilot, plan: Plan) -> PathRun:
 
 def run_tendons(pilot: Pilot, when: Floats, values: Floats) -> PathRun:
     """Play values (n, m) [N] or [m] of the tendons at times (n,) [s]."""
-    pilot.clear()
     sent = thinned(when, values) if len(when) > POINTS_MAX else np.arange(len(when))
     began = time.monotonic()
-    stamp = pilot.play(Trajectory(when[sent], values[sent]))
-    pilot.settle(stamp, when[-1] + MOVE_TIMEOUT_S, 'the end of the trajectory')
+    pilot.play_to_the_end(Trajectory(when[sent], values[sent]), 'the end of the trajectory')
     pilot.stand()
     rows = when.copy()
     rows[-1] = time.monotonic() - began
@@ -315,9 +313,7 @@ def run_back(pilot: Pilot, pace: Pace) -> None:
     """Play the commands since the last `clear` backwards: the arm returns by its own path."""
     times, commands = pilot.commands()
     back = retreat(times, commands, pace.pull if pilot.pull else pace.tension)
-    pilot.clear()
-    stamp = pilot.play(back)
-    pilot.settle(stamp, back.times[-1] + MOVE_TIMEOUT_S, 'the arm back where it came from')
+    pilot.play_to_the_end(back, 'the arm back where it came from')
 
 
 def _path_run(

@@ -284,10 +284,7 @@ class RunningArm(Pilot):
 
     def _go(self, target: Floats) -> None:
         """Play the path to a command and wait for its end; what releases it later counts."""
-        self.clear()
-        path = self._move(target)
-        stamp = self.play(path)
-        self.settle(stamp, path.times[-1] + REACTION_TIMEOUT_S, 'the arm to get there')
+        self.play_to_the_end(self._move(target), 'the arm to get there', REACTION_TIMEOUT_S)
 
     def _stand(self) -> StillMeasurement:
         """Wait until the arm is at rest and visible; return the mean of its frames."""

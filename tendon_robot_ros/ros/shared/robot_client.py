@@ -304,6 +304,13 @@ class Pilot(ClientNode):
 
         self.wait(at_rest, timeout, what)
 
+    def play_to_the_end(
+        self, trajectory: Trajectory, what: str, timeout: float = MOVE_TIMEOUT_S
+    ) -> None:
+        """Play a trajectory and wait for its end, `timeout` [s] beyond its duration at most."""
+        self.clear()
+        self.settle(self.play(trajectory), trajectory.times[-1] + timeout, what)
+
     def stand_at(self, position: Floats, direction: Floats | None, what: str) -> None:
         """Send a target, (3,) [m] and (3,) or None, and wait until the tip is at rest there."""
         self.clear()
