@@ -63,7 +63,7 @@ def test_the_demo_reaches_its_postures(tmp_path):
 def test_a_posture_that_is_not_reached_is_named_and_the_exit_code_is_1(monkeypatch, capsys):
     def go(pilot, posture):
         status = 'no_driver' if posture.name.startswith('middle') else 'reached'
-        return command.Outcome(posture, np.zeros(3), 1e-4, 0.0, np.zeros(4), status, '', 0.01)
+        return command.Outcome(posture, np.zeros(3), 1e-4, np.zeros(4), status, '')
 
     for name, stand_in in {
         'go': go,

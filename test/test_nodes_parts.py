@@ -92,7 +92,7 @@ class Clock(contextlib.nullcontext):
 def frames():
     made = Frames.__new__(Frames)
     made.base, made._buffer = 'arm_base', None
-    made._node = SimpleNamespace(get_clock=Clock)
+    made._node = SimpleNamespace(get_clock=Clock, parameters={'stamp_tolerance': 2.0})
     return made
 
 
@@ -102,11 +102,11 @@ def header(frame, stamp=0.0):
 
 
 def test_without_tf_only_the_base_frame_will_do():
-    rotation, shift = frames().of(header('arm_base'), 'target_pose', 2.0)
+    rotation, shift = frames().of(header('arm_base'), 'target_pose')
     assert rotation.tolist() == np.eye(3).tolist()
     assert shift.tolist() == [0.0, 0.0, 0.0]
     with pytest.raises(Refusal, match="frame 'map', expected 'arm_base'"):
-        frames().of(header('map'), 'target_pose', 2.0)
+        frames().of(header('map'), 'target_pose')
 
 
 def test_with_tf_another_frame_is_brought_into_the_base_frame():
@@ -121,7 +121,7 @@ def test_with_tf_another_frame_is_brought_into_the_base_frame():
             transform=transform, header=SimpleNamespace(stamp=Time())
         )
     )
-    rotation, shift = made.of(header('map'), 'target_pose', 2.0)
+    rotation, shift = made.of(header('map'), 'target_pose')
     assert rotation @ [1.0, 0.0, 0.0] + shift == pytest.approx([0.1, 1.0, 0.0])
 
 
@@ -148,7 +148,7 @@ def test_a_transform_is_of_the_time_of_the_message(at, stamp, asked, taken):
         return SimpleNamespace(transform=nothing, header=SimpleNamespace(stamp=Time(sec=at)))
 
     made._buffer = SimpleNamespace(lookup_transform=lookup)
-    given = (header('map', stamp), 'target_pose', 2.0)
+    given = (header('map', stamp), 'target_pose')
     if taken:
         assert made.of(*given)[1] == pytest.approx([0.1, 0.0, 0.0])
     else:
@@ -403,11 +403,7 @@ def test_an_undo_that_the_controller_refuses_can_be_asked_for_again(monkeypatch)
     monkeypatch.setattr(Adapting, '_log_change', lambda *_: None)
     monkeypatch.setattr(watching.interface, 'topic', lambda name: ())
     adapting = Adapting(
-        MagicMock(),
-        MagicMock(),
-        MagicMock(),
-        'kato_10_1',
-        lambda _, answer: answers.append(answer),
+        MagicMock(), MagicMock(), 'kato_10_1', lambda _, answer: answers.append(answer)
     )
     adapting._adaptation = adaptation
     adapting.undo()

@@ -199,7 +199,8 @@ def test_types_that_are_not_installed_are_named_with_what_to_install(bench, monk
 def incoming(bench, **parameters):
     given = {'frame_prefix': '', 'base_frame': '', 'tip_frame': '', 'stamp_tolerance': 1.0,
              'command_mode': 'tension', **parameters}  # fmt: skip
-    return Incoming(bench.node, given, model())
+    bench.node.parameters = given
+    return Incoming(bench.node, model())
 
 
 @dataclass

@@ -217,6 +217,7 @@ class LetGo(Hesitating):
     """A running arm whose driver lets go after a path was sent."""
 
     _go, clear, settle = RunningArm._go, RunningArm.clear, RunningArm.settle
+    play_to_the_end = RunningArm.play_to_the_end
     require_good, settled = RunningArm.require_good, RunningArm.settled
     status, _status_at, _since = {'code': 'playing'}, 0.0, np.inf
 
@@ -249,7 +250,6 @@ class Busy(LetGo):
 
     def __init__(self, codes):
         self.codes, self.sent, self.errors = list(codes), 0, []
-        self._executor = self
 
     def _rest(self):
         return np.zeros(4)
@@ -258,7 +258,7 @@ class Busy(LetGo):
         self.sent += 1
         return str(self.sent)
 
-    def spin_once(self, timeout_sec):
+    def serve(self, timeout):
         time.sleep(0.01)
         code = self.codes.pop(0) if len(self.codes) > 1 else self.codes[0]
         stamp = str(self.sent) if code.startswith('play') else 'of another'

@@ -32,7 +32,6 @@ from tendon_robot_ros.ros.shared.runtime import (
     SIGNAL_ECHO_S,
     Runnable,
     make_executor,
-    on_end_request,
     ros,
     run,
 )
@@ -79,7 +78,7 @@ def test_a_signal_is_heard_while_the_main_thread_is_in_the_middleware():
     heard, found = threading.Event(), []
     with ros([]) as ending:
         executor = make_executor()
-        on_end_request(heard.set)
+        ending.then(heard.set)
 
         def person():
             os.kill(os.getpid(), signal.SIGINT)
@@ -164,7 +163,7 @@ def test_a_closed_terminal_ends_who_was_not_started_with_nohup(before, ends):
     heard = threading.Event()
     try:
         with ros([]) as ending:
-            on_end_request(heard.set)
+            ending.then(heard.set)
             os.kill(os.getpid(), signal.SIGHUP)
             assert heard.wait(20.0 if ends else 0.2) == ends
             ending.request(signal.SIGTERM)
@@ -222,7 +221,7 @@ def test_the_controllers_stop_is_heard_while_no_callback_is_served(context, monk
         assert 'no model and commands nothing, so the driver is told nothing' in answer.message
         assert controller._stopped
         controller.core = SimpleNamespace(latch=StopLatch())
-        processes.until(controller._commands.get_subscription_count, 'a listener')
+        processes.until(controller._publisher.get_subscription_count, 'a listener')
         answer = call(executor, client)
         assert answer.success
         assert 'the driver releases the arm' in answer.message

@@ -190,9 +190,8 @@ class ImportTable:
         add('--robot', metavar='YAML', help='robot description (default: that of --recipe)')
         add('--output', metavar='DIR', required=True, help='folder of the data set')
         add('--overwrite', action='store_true', help='replace a data set in DIR')
-        add(
-            '--recipe', metavar='YAML', help='an import.yaml; other options go before what it says'
-        )
+        what = 'an import.yaml; other options go before what it says'
+        add('--recipe', metavar='YAML', help=what)
         options.declare(parser, '--json', '--effect-file')
         add_arm(parser.add_argument_group('markers and frame'))
         add_columns(parser.add_argument_group('columns and units'))
@@ -397,8 +396,7 @@ class ExportBag:
         add('data', metavar='DATA', help='folder of the data set')
         add('output', metavar='OUT', help='new folder, or new file that ends in .mcap')
         add('--robot', help='robot description instead of the one the data set names')
-        what = 'of a folder (default: mcap)'
-        add('--storage', choices=STORAGES, default='mcap', help=what)
+        add('--storage', choices=STORAGES, default='mcap', help='of a folder (default: mcap)')
         for name, value, text in (
             ('hold', default.hold, 'seconds that every measurement lasts'),
             ('move', default.move, 'seconds from one to the next'),

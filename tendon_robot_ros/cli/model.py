@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..common.errors import InputError, choice
+from ..common.errors import InputError, choice, whole
 from ..common.files import file_to_write, new_file, new_folder, write_text
 from ..common.results import plain
 from ..common.words import PROGRAM, columns, other_unit
@@ -160,8 +160,7 @@ class ReachCommand:
         options.declare(parser, 'robot', '--effect-file')
         add = parser.add_argument
         add('--position', nargs='+', metavar='X,Y,Z', help='of the tip, base frame')
-        what = 'of the tip; its length is ignored'
-        add('--direction', nargs='+', metavar='X,Y,Z', help=what)
+        add('--direction', nargs='+', metavar='X,Y,Z', help='of the tip; its length is ignored')
         add('--keep-out', metavar='YAML', help='regions that no part of the arm may enter')
         what = f'what freedom is left is used for: {", ".join(WEIGHTS)} (docs/control.md)'
         add('--prefer', metavar='NAME=WEIGHT,...', help=what)
@@ -409,8 +408,7 @@ class Sweep:
 
         if not 0.0 < args.view <= 180.0:
             raise InputError(f'--view: expected more than 0° and at most 180°, got {args.view:g}')
-        if args.steps < 2:
-            raise InputError(f'--steps: expected at least 2, got {args.steps}')
+        whole('--steps', args.steps, 2)
         model = load_model(args)
         with progress() as show:
             show(f'looking for {args.steps} postures', 0, 0)

@@ -372,8 +372,7 @@ class Emulate:
         what = 'loose wire at the start (default 2)'
         add('--slack', type=float, default=2.0, metavar='MM', help=what)
         add('--port', metavar='PATH', help='where the port appears (default: made up)')
-        what = 'end when the standard input ends'
-        add('--ends-with-input', action='store_true', help=what)
+        add('--ends-with-input', action='store_true', help='end when the standard input ends')
         add_file(parser, '--output', 'write a configuration for the driver')
 
     def run(self, args: argparse.Namespace) -> int:
@@ -444,8 +443,7 @@ def emulated_board(args: argparse.Namespace, robot: Robot) -> Emulated:
     rig = BoardRig(_arm(args, robot), len(robot.inputs))
     line = EmulatedBoard(rig, args.port)
     words = f'a board with {rig.channels} motors and load cells, channels 0 to {rig.channels - 1}'
-    config = {'port': line.port, **rig.config(robot.inputs)}
-    return line, config, words
+    return line, {'port': line.port, **rig.config(robot.inputs)}, words
 
 
 def _arm(args: argparse.Namespace, robot: Robot) -> Arm:

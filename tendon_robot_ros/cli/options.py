@@ -40,11 +40,7 @@ DATA_HELP = 'data set (folder) or recording (folder, .mcap, .db3)'
 # arguments that several commands share: name -> how argparse takes it
 SHARED: dict[str, dict[str, Any]] = {
     'robot': {'metavar': 'ROBOT', 'help': 'robot description (YAML)'},
-    'data': {
-        'nargs': '+',
-        'metavar': 'DATA',
-        'help': f'{DATA_HELP}; several count together',
-    },
+    'data': {'nargs': '+', 'metavar': 'DATA', 'help': f'{DATA_HELP}; several count together'},
     '--effect-file': {
         'action': 'append',
         'default': [],
@@ -68,15 +64,10 @@ def declare(parser: argparse.ArgumentParser, *names: str) -> None:
 
 
 def add_file(
-    parser: argparse.ArgumentParser,
-    name: str,
-    help: str,
-    metavar: str = 'FILE',
-    **more: Any,
+    parser: argparse.ArgumentParser, name: str, help: str, metavar: str = 'FILE', **more: Any
 ) -> None:
     """Declare an option that names a file to write; where none can go is said at once."""
-    checked = file_to_write(name)
-    parser.add_argument(name, type=checked, metavar=metavar, help=help, **more)
+    parser.add_argument(name, type=file_to_write(name), metavar=metavar, help=help, **more)
 
 
 def add_report(parser: argparse.ArgumentParser) -> None:
@@ -236,8 +227,7 @@ def vector(option: str, text: str | None) -> list[float] | None:
         It is not three numbers.
 
     """
-    expected = 'three numbers x,y,z'
-    return None if text is None else list(numbers(option, text, ',', expected, 3))
+    return None if text is None else list(numbers(option, text, ',', 'three numbers x,y,z', 3))
 
 
 def numbers(

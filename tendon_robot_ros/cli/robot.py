@@ -189,8 +189,7 @@ def ask_down(
     questions.show(VIEW_FROM_TIP.format(first=first['name'], others=others))
     question = f'There {first["name"]} lies at [°, or down, right, up, left]'
     sides = {'down': 0.0, 'right': 90.0, 'up': 180.0, 'left': 270.0}
-    degrees = questions.number(question, 0.0, -360.0, 360.0, sides)
-    angle = math.radians(degrees)
+    angle = math.radians(questions.number(question, 0.0, -360.0, 360.0, sides))
     down = (gravity[0] * math.cos(angle), -gravity[0] * math.sin(angle))
     return {'gravity': [round(down[0], 4) + 0.0, round(down[1], 4) + 0.0, 0.0]}
 

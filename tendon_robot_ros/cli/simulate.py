@@ -57,9 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--level', type=float, default=1.0, metavar='X', help=level)
     scatter = "relative sd of the cells' stiffness (default: 0.03 times the level)"
     add('--scatter', type=float, metavar='SD', help=scatter)
-    add(
-        '--seed', type=int, default=0, metavar='N', help='another seed: another robot, other noise'
-    )
+    what = 'another seed: another robot, other noise'
+    add('--seed', type=int, default=0, metavar='N', help=what)
     add('--gravity', metavar='X,Y,Z', help='[m/s²] in the base frame (default: as in ROBOT)')
     add('--output', metavar='DIR', help='folder of the data set')
     add('--check', metavar='DIR', help='a second data set: other postures of the same robot')

@@ -74,14 +74,14 @@ def main(arguments: Sequence[str]) -> int:
         pilot.connect(WORK_TIMEOUT_S)
         for posture in postures:
             outcomes.append(go(pilot, posture))
-            print(outcomes[-1].row(), flush=True)
+            print(outcomes[-1].row, flush=True)
     draw(PICTURE, model, outcomes)
     print(f'picture: {PICTURE}')
     missed = [
         one.target.name
         for one in outcomes
         if one.target is not unreachable
-        and (one.status != 'reached' or one.position_error > TRACKER_NOISE_M)
+        and (one.status != 'reached' or one.error > TRACKER_NOISE_M)
     ]
     if missed:
         print(
@@ -98,23 +98,10 @@ class Outcome:
 
     target: Posture
     position: Floats  # (3,) [m] of the mock's tip
-    position_error: float  # [m] from the target
-    direction_error: float  # [rad] between the directions
+    error: float  # [m] from the target
     tensions: Floats  # (m,) [N] commanded
     status: str
-    at_limit: str
-    latency: float  # [s] from sending the target to the first command that differs
-
-    def row(self) -> str:
-        """Return the row of the table."""
-        x, _, z = 1e3 * self.position
-        error = f'{1e3 * self.position_error:.2f} mm {np.degrees(self.direction_error):.2f}°'
-        tensions = ' '.join(f'{value:.2f}' for value in self.tensions)
-        limits = f'  {self.at_limit} at its limit' if self.at_limit else ''
-        return (
-            f'{self.target.name:20} {f"({x:7.1f}, {z:7.1f})":>22} {error:>18}   '
-            f'{tensions + limits:50} {self.status:9} {1e3 * self.latency:.1f} ms'
-        )
+    row: str  # of the table
 
 
 def go(pilot: Pilot, posture: Posture) -> Outcome:
@@ -123,16 +110,18 @@ def go(pilot: Pilot, posture: Posture) -> Outcome:
     pilot.stand_at(posture.position, posture.direction, f'the arm at {posture.name!r}')
     (place, along), (times, commands) = pilot.tip(), pilot.commands()
     changed = times[(commands != commands[0]).any(axis=1)]
-    return Outcome(
-        target=posture,
-        position=place,
-        position_error=float(np.linalg.norm(place - posture.position)),
-        direction_error=float(angle_between(along, posture.direction)),
-        tensions=commands[-1],
-        status=pilot.status['code'],
-        at_limit=pilot.status['at_limit'],
-        latency=float(changed[0] - sent) if len(changed) else np.inf,
+    latency = changed[0] - sent if len(changed) else np.inf  # [s] to the first that differs
+    status, at_limit = pilot.status['code'], pilot.status['at_limit']
+    miss = float(np.linalg.norm(place - posture.position))
+    turned = np.degrees(angle_between(along, posture.direction))
+    (x, _, z), error = 1e3 * place, f'{1e3 * miss:.2f} mm {turned:.2f}°'
+    limits = f'  {at_limit} at its limit' if at_limit else ''
+    row = (
+        f'{posture.name:20} {f"({x:7.1f}, {z:7.1f})":>22} {error:>18}   '
+        f'{" ".join(f"{value:.2f}" for value in commands[-1]) + limits:50} {status:9} '
+        f'{1e3 * latency:.1f} ms'
     )
+    return Outcome(posture, place, miss, commands[-1], status, row)
 
 
 def draw(path: Path, model: Model, outcomes: Sequence[Outcome]) -> None:
@@ -141,12 +130,11 @@ def draw(path: Path, model: Model, outcomes: Sequence[Outcome]) -> None:
 
     figure = Figure(figsize=(7.0, 6.0), layout='constrained')
     axes = figure.add_subplot()
-    ends = np.cumsum(model.robot.cell_lengths)
-    straight = np.outer(ends, [0.0, 0.0, 1.0])[None]
+    straight = np.outer(np.cumsum(model.robot.cell_lengths), [0.0, 0.0, 1.0])[None]
     plot_arms(straight, axes, linestyle=':', marker='', color=ERROR, label='straight')
     for outcome, color in zip(outcomes, COLOURS, strict=False):
         posture = outcome.target
-        label = f'{posture.name}: {1e3 * outcome.position_error:.2f} mm'
+        label = f'{posture.name}: {1e3 * outcome.error:.2f} mm'
         arm = model.shape(outcome.tensions).positions[None]
         plot_arms(arm, axes, color=color, marker='o', markersize=3, label=label)
         axes.plot(*(1e3 * posture.position[[0, 2]]), 'x', color=color, markersize=10)

@@ -21,27 +21,11 @@ from ...control.inputs import Trajectory
 from ...control.target_search import keep_out_refusal
 from ...data.bag_reader import is_bag, opened
 from ...data.csv_file import csv_text
-from ...data.path_files import (
-    NO_PATH,
-    PathRun,
-    Places,
-    TendonRows,
-    TipRows,
-    read_moves,
-    read_path,
-)
+from ...data.path_files import NO_PATH, PathRun, Places, TendonRows, TipRows, read_moves, read_path
 from ...drivers.safety import CYCLE_MAX_S
 from ...model.model import Model
 from ...model.shape import Shape
-from ...paths.path import (
-    Pace,
-    Plan,
-    retreat,
-    set_points,
-    stretched,
-    thinned,
-    tip_path,
-)
+from ...paths.path import Pace, Plan, retreat, set_points, stretched, thinned, tip_path
 from ...report.pictures import draw_run, path_lines, place
 from ...robot.keep_out import KeepOut, load_keep_out, text_of
 from ..controller.topics import POINTS_MAX
@@ -80,20 +64,14 @@ class GoTo:
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the arguments."""
+        add = parser.add_argument
         for axis in 'xyz':
-            parser.add_argument(axis, help='a number in --unit, or with its own: 60, 60mm, 0.06m')
-        parser.add_argument(
-            '--unit', choices=TYPED_LENGTHS, default=TYPED_LENGTHS[0], help='(default: mm)'
-        )
-        parser.add_argument(
-            '--direction',
-            type=float,
-            nargs=3,
-            metavar=('DX', 'DY', 'DZ'),
-            help='where the tip is to look, of any length (default: as it comes)',
-        )
+            add(axis, help='a number in --unit, or with its own: 60, 60mm, 0.06m')
+        add('--unit', choices=TYPED_LENGTHS, default=TYPED_LENGTHS[0], help='(default: mm)')
+        what = 'where the tip is to look, of any length (default: as it comes)'
+        add('--direction', type=float, nargs=3, metavar=('DX', 'DY', 'DZ'), help=what)
         add_controller(parser)
-        parser.add_argument('--json', **JSON_OPTION)
+        add('--json', **JSON_OPTION)
 
     def run(self, args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         """Send a target and wait until the arm is at rest."""
@@ -158,12 +136,10 @@ class Follow:
             text = f'at most so many {text} (default: {value:.3g})'
             add(f'--{name}', type=float, default=value, metavar='LIMIT', help=text)
         add('--keep-out', metavar='YAML', help='regions that no part of the arm may enter')
-        to = file_to_write('--picture')
-        add(
-            '--picture', type=to, default='follow.png', metavar='PNG', help='(default: follow.png)'
-        )
+        to, what = file_to_write('--picture'), '(default: follow.png)'
+        add('--picture', type=to, default='follow.png', metavar='PNG', help=what)
         add_controller(parser)
-        parser.add_argument('--json', **JSON_OPTION)
+        add('--json', **JSON_OPTION)
 
     def run(self, args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         """Follow and report; Ctrl-C leaves the arm at its present target."""
@@ -324,11 +300,9 @@ def run_tips(pilot: Pilot, plan: Plan) -> PathRun:
 
 def run_tendons(pilot: Pilot, when: Floats, values: Floats) -> PathRun:
     """Play values (n, m) [N] or [m] of the tendons at times (n,) [s]."""
-    pilot.clear()
     sent = thinned(when, values) if len(when) > POINTS_MAX else np.arange(len(when))
     began = time.monotonic()
-    stamp = pilot.play(Trajectory(when[sent], values[sent]))
-    pilot.settle(stamp, when[-1] + MOVE_TIMEOUT_S, 'the end of the trajectory')
+    pilot.play_to_the_end(Trajectory(when[sent], values[sent]), 'the end of the trajectory')
     pilot.stand()
     rows = when.copy()
     rows[-1] = time.monotonic() - began
@@ -339,9 +313,7 @@ def run_back(pilot: Pilot, pace: Pace) -> None:
     """Play the commands since the last `clear` backwards: the arm returns by its own path."""
     times, commands = pilot.commands()
     back = retreat(times, commands, pace.pull if pilot.pull else pace.tension)
-    pilot.clear()
-    stamp = pilot.play(back)
-    pilot.settle(stamp, back.times[-1] + MOVE_TIMEOUT_S, 'the arm back where it came from')
+    pilot.play_to_the_end(back, 'the arm back where it came from')
 
 
 def _path_run(

@@ -53,13 +53,7 @@ from ..shared.lifecycle import OK, WARN, Status
 from ..shared.messages import offer_trigger, points_of, seconds, tensions_and_pulls, time_now
 from ..shared.parameters import parsed
 from ..shared.quality import STATE
-from ..shared.robot_client import (
-    MESSAGES_MAX,
-    TIP_AVERAGE_S,
-    WORKING_CODES,
-    Pilot,
-    add_controller,
-)
+from ..shared.robot_client import MESSAGES_MAX, TIP_AVERAGE_S, WORKING_CODES, Pilot, add_controller
 from ..shared.runtime import SPIN_S, Ending, repeat, ros
 from ..shared.timing import ANSWER_TIMEOUT_S, REACTION_TIMEOUT_S, SILENCE_S, STATUS_PERIOD_S
 
@@ -241,7 +235,7 @@ class RunningArm(Pilot):
                     break
                 if self.status.get('target_stamp') != stamp and now - sent > ANSWER_TIMEOUT_S:
                     stamp, sent = self.play(self._move(rest)), now
-                self._executor.spin_once(timeout_sec=SPIN_S)
+                self.serve(SPIN_S)
 
     def attend(self) -> None:
         """Serve a message that has come; StoppedError: the service `~/stop` was called."""
@@ -290,10 +284,7 @@ class RunningArm(Pilot):
 
     def _go(self, target: Floats) -> None:
         """Play the path to a command and wait for its end; what releases it later counts."""
-        self.clear()
-        path = self._move(target)
-        stamp = self.play(path)
-        self.settle(stamp, path.times[-1] + REACTION_TIMEOUT_S, 'the arm to get there')
+        self.play_to_the_end(self._move(target), 'the arm to get there', REACTION_TIMEOUT_S)
 
     def _stand(self) -> StillMeasurement:
         """Wait until the arm is at rest and visible; return the mean of its frames."""
@@ -405,8 +396,7 @@ class Investigator:
                 better = str((folder / BETTER).resolve())
                 accepted, reason = self.arm.put('model', better, 2.0 * REACTION_TIMEOUT_S)
                 answer = 'uses it' if accepted else f'refuses it: {reason}'
-                text = f'the controller {answer}'
-                self.publish_news(News('sent', text, {'taken': accepted}))
+                self.publish_news(News('sent', f'the controller {answer}', {'taken': accepted}))
             return findings
         finally:
             self._busy = False

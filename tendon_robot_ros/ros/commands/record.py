@@ -20,8 +20,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from ...common.errors import InputError, TendonRobotError
@@ -33,7 +31,7 @@ from ..shared.inbox import polled
 from ..shared.parameters import RemoteParameter
 from ..shared.quality import quality
 from ..shared.robot_client import MESSAGES_MAX, add_controller
-from ..shared.runtime import repeat, ros
+from ..shared.runtime import ClientNode, repeat, ros
 from ..shared.timing import NEWS_PERIOD_S, VALUES_PERIOD_S
 
 HELP = 'record the running robot to an mcap file'
@@ -45,22 +43,16 @@ DATASET_DEFAULTS = 'path: sequence\ntension_noise: {setting: 0.002}\n'
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    named = time.strftime('recording_%Y-%m-%d_%H-%M-%S')
-    parser.add_argument(
+    add, named = parser.add_argument, time.strftime('recording_%Y-%m-%d_%H-%M-%S')
+    add(
         'output', nargs='?', default=named, metavar='DIR', help='new folder (default: by the time)'
     )
-    parser.add_argument('--duration', type=float, metavar='S', help='seconds (default: to Ctrl-C)')
-    parser.add_argument(
-        '--topics', nargs='+', default=[], metavar='TOPIC', help='only these (default: all)'
-    )
-    parser.add_argument(
-        '--storage',
-        choices=bag_writer.STORAGES,
-        default='mcap',
-        help='of the folder (default: mcap)',
-    )
+    add('--duration', type=float, metavar='S', help='seconds (default: to Ctrl-C)')
+    add('--topics', nargs='+', default=[], metavar='TOPIC', help='only these (default: all)')
+    what = 'of the folder (default: mcap)'
+    add('--storage', choices=bag_writer.STORAGES, default='mcap', help=what)
     add_controller(parser)
-    parser.add_argument('--json', **JSON_OPTION)
+    add('--json', **JSON_OPTION)
 
 
 def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
@@ -72,30 +64,24 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         ros(ros_arguments) as ending,
         write_errors(Path(args.output)),
         bag_writer.BagWriter(args.output, args.storage) as writer,
+        Recorder(writer, args.controller, args.topics) as recorder,
     ):
-        recorder = Recorder(writer, args.controller, args.topics)
-        executor = SingleThreadedExecutor()
-        executor.add_node(recorder)
         narrate(args, f'recording to {args.output}; Ctrl-C ends')
         began = time.monotonic()
-        try:
-            while not ending.signal:
-                executor.spin_once(timeout_sec=NEWS_PERIOD_S)
-                recorder.drain()
-                passed = time.monotonic() - began
-                if args.duration is not None and passed >= args.duration:
-                    break
+        while not ending.signal:
+            recorder.serve(NEWS_PERIOD_S)
             recorder.drain()
-        finally:
-            executor.shutdown()
-            recorder.destroy_node()
+            passed = time.monotonic() - began
+            if args.duration is not None and passed >= args.duration:
+                break
+        recorder.drain()
     seconds = time.monotonic() - began
     content = {'messages': recorder.counts, 'seconds': seconds, 'written': args.output}
     emit(args, content, recorder.summary(args.output, seconds))
     return 0 if recorder.counts else 1
 
 
-class Recorder(Node):
+class Recorder(ClientNode):
     """
     Subscribes to topics and writes their serialised messages.
 

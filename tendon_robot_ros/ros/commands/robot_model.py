@@ -23,19 +23,18 @@ from ...robot import Robot, load_robot
 from ...robot.urdf import joint_angles, joint_names, transforms, urdf
 from ..shared import interface
 from ..shared.messages import matrix, quaternion, refilled
-from ..shared.parameters import Parameters, watch_robot
-from ..shared.runtime import Runnable, run
+from ..shared.parameters import ParameterNode, watch_robot
+from ..shared.runtime import run
 
 HELP = 'show RViz and Foxglove the robot: URDF, joints, frames'
 
 
-class RobotModelNode(Runnable):
+class RobotModelNode(ParameterNode):
     """Converts predicted shapes to joints and frames of the URDF."""
 
     def __init__(self) -> None:
         """Read the robot of the parameter, or request that of the controller."""
         super().__init__('robot_model')
-        self.parameters = Parameters(self, 'robot_model')
         controller = self.parameters['controller']
         self._robot: Robot | None = None
         self._prefix = ''
@@ -70,8 +69,7 @@ class RobotModelNode(Runnable):
         frames = np.array([matrix(pose.orientation) for pose in message.poses])
         angles = joint_angles(robot, frames)
         stamp = message.header.stamp
-        joints = JointState(name=joint_names(robot))
-        self._joints.publish(refilled(joints, stamp, angles, None))
+        self._joints.publish(refilled(JointState(name=joint_names(robot)), stamp, angles, None))
         if self._broadcaster is not None:
             self._broadcaster.sendTransform(stamped(robot, angles, self._prefix, stamp))
 

@@ -27,12 +27,8 @@ NO_SOFTWARE = 'use the switch in the supply of the motors'
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument(
-        '--namespace',
-        default='/',
-        metavar='NAMESPACE',
-        help='stop what is in this one and below it (default: all namespaces)',
-    )
+    what = 'stop what is in this one and below it (default: all namespaces)'
+    parser.add_argument('--namespace', default='/', metavar='NAMESPACE', help=what)
     parser.add_argument('--json', **JSON_OPTION)
 
 

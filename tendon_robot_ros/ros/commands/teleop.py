@@ -25,15 +25,15 @@ from std_srvs.srv import Trigger
 from ...common.errors import InputError
 from ..shared import interface
 from ..shared.messages import Request, header_now, status_values, vector
-from ..shared.parameters import Parameters
-from ..shared.runtime import Runnable, repeat, run
+from ..shared.parameters import ParameterNode
+from ..shared.runtime import repeat, run
 from ..shared.timing import NEWS_PERIOD_S
 
 HELP = 'move the tip with the keyboard'
 KEPT_FROM_MOVING = 'stopped', 'driver_stopped', 'released', 'no_driver', 'not_ready'
 
 
-class TeleopNode(Runnable):
+class TeleopNode(ParameterNode):
     """Converts keys to twists."""
 
     def __init__(self) -> None:
@@ -41,7 +41,6 @@ class TeleopNode(Runnable):
         super().__init__('teleop')
         if not sys.stdin.isatty():
             raise InputError('teleop: expected a terminal to read keys from, got a pipe or file')
-        self.parameters = Parameters(self, 'teleop')
         name = self.parameters['controller']
         self._twists = self.create_publisher(*interface.topic('controller/delta_twist', name))
         self._calls = {

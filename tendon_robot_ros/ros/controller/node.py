@@ -33,13 +33,12 @@ from ...drivers.safety import StopLatch
 from ...model.model import Model
 from ...robot.keep_out import KeepOut
 from ..shared import interface
-from ..shared.inbox import Answer, Inbox, Received, Service, subscribe_any_qos
+from ..shared.inbox import Answer, Received, Service, subscribe_any_qos
 from ..shared.lifecycle import LEVELS, Status, StoppableNode
-from ..shared.messages import header_now, passing_subscription, refilled, stamp_now
-from ..shared.parameters import Parameters
-from ..shared.quality import JOINTS, LISTEN
-from ..shared.runtime import has_priority, repeat, run
-from ..shared.senders import OwnPublisher, Senders, gid_text
+from ..shared.messages import header_now, passing_subscription
+from ..shared.quality import LISTEN
+from ..shared.runtime import Ending, repeat, run
+from ..shared.senders import gid_text
 from ..shared.timing import NEWS_PERIOD_S
 from . import parameters
 from .actions import Actions
@@ -66,8 +65,7 @@ class ControllerNode(StoppableNode):
 
     def __init__(self) -> None:
         """Declare parameters and start to load the model; nothing is commanded yet."""
-        super().__init__('controller', drives=False)
-        self.parameters = Parameters(self, 'controller')
+        super().__init__('controller', False, hears='tendon_states', says='tendon_command')
         self.status = Status(self, 'control')
         self.core: ControllerCore | None = None
         self._loading = ModelLoading(self.parameters)
@@ -81,13 +79,7 @@ class ControllerNode(StoppableNode):
         self._latency = self._status_at = self._target_at = 0.0  # [s]
         self._targets: list[Subscription] = []
         self._actions: Actions | None = None
-        self._drivers = Senders(self, 'tendon_states')
         self._speaking = threading.Lock()
-        self._command = JointState()
-        self._commands = self.create_publisher(*interface.topic('tendon_command'))
-        self._own = OwnPublisher(self, self._commands)
-        self._measured = Inbox(self, *interface.topic('tendon_states')[:2], JOINTS)
-        self.closing += self._measured, self._own
         self._tracker: Subscription | None = None
         self._subscribe_tip()
         topic, gid = self.parameters['driver_status'], gid_text(self._own.gid)
@@ -131,11 +123,11 @@ class ControllerNode(StoppableNode):
         self._solver = Worker(self._wake)  # last: of a refused attempt no thread stays
         core = ControllerCore(model, settings, self._solver)
         core.driver_reports(*self._driver.last)
-        self._incoming = Incoming(self, self.parameters, model)
+        self._incoming = Incoming(self, model)
         self._prediction = Prediction(self, self._incoming)
         self.core = core
         self.latch_early_stops()
-        if has_priority():
+        if Ending.current.first:
             go_realtime(Realtime.CONTROLLER, but=[SOLVER])
             if in_realtime():  # this thread limits the time of the solver
                 self._solver.lend_realtime()
@@ -225,7 +217,7 @@ class ControllerNode(StoppableNode):
     ) -> None:
         """Use a measurement of the followed driver."""
         now, measured = time.monotonic(), incoming.states(received.message)
-        if self._drivers.counts(now, received):
+        if self._senders.counts(now, received):
             core.measured(now, *measured)
 
     def _wake(self) -> None:
@@ -249,10 +241,10 @@ class ControllerNode(StoppableNode):
         core = self.core
         if core is not None:
             self._solver.limit_realtime()
-        for received in self._measured.take():
+        for received in self._inbox.take():
             self._take('states', self._states, received)
         now = time.monotonic()
-        if (problem := self._measured.refused()) and core is not None:
+        if (problem := self._inbox.refused()) and core is not None:
             core.refusals['states'] = Refusal('length', problem)
         if core is None or self.phase != 'active':
             self._idle()
@@ -269,10 +261,7 @@ class ControllerNode(StoppableNode):
             tensions = output.tensions if pulls is None else None
             with self._speaking:
                 if not core.latch:  # unless a stop came meanwhile
-                    self._command.name = core.model.inputs
-                    self._commands.publish(
-                        refilled(self._command, stamp_now(self), pulls, tensions)
-                    )
+                    self.say(core.model.inputs, pulls, tensions)
         if now - self._status_at >= NEWS_PERIOD_S:
             self._status_at = now
             self._publish_status(core, now)
@@ -280,7 +269,7 @@ class ControllerNode(StoppableNode):
     def _let_go(self) -> None:
         """Have the driver release the arm at once: send a command without tendons."""
         with self._speaking:
-            self._commands.publish(JointState(header=header_now(self)))
+            self._publisher.publish(JointState(header=header_now(self)))
 
     def _idle(self) -> None:
         """Publish that the node waits for a transition, in place of its last status."""
@@ -295,7 +284,7 @@ class ControllerNode(StoppableNode):
         """Publish the status."""
         status = controller_status(core, now)
         level, message = LEVELS[status.level], status.message
-        drivers = self._drivers.names(self._drivers.others(now))
+        drivers = self._senders.names(self._senders.others(now))
         controllers = self._own.others(now)
         if drivers or controllers:
             level = max(level, LEVELS['warn'])
@@ -363,7 +352,7 @@ class ControllerNode(StoppableNode):
             consequence = 'it has no model and commands nothing, so the driver is told nothing'
         elif another := self._driver.another:
             consequence = f'the driver does not hear it, {another}'
-        elif not self._commands.get_subscription_count():
+        elif not self._publisher.get_subscription_count():
             consequence = 'no driver hears it'
         else:
             consequence = 'the driver releases the arm'

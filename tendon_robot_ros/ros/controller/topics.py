@@ -28,7 +28,7 @@ from ...model.model import Model
 from ...model.shape import Shape
 from ...robot.estimates import natural_sizes
 from ..shared import interface, messages
-from ..shared.parameters import Parameters, base_frame
+from ..shared.parameters import ParameterNode, base_frame
 from ..shared.quality import LATCHED
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 
@@ -39,9 +39,9 @@ POINTS_MAX = 500
 class Incoming:
     """Converts messages to targets, twists and states; Refusal: a message is invalid."""
 
-    def __init__(self, node: Node, parameters: Parameters, model: Model) -> None:
+    def __init__(self, node: ParameterNode, model: Model) -> None:
         """Create the transforms and use a model."""
-        self._node, self._parameters = node, parameters
+        self._node, self._parameters = node, node.parameters
         self._frames = messages.Frames(node, '')
         self.use(model)
 
@@ -82,9 +82,9 @@ class Incoming:
         """Return a velocity [m/s, rad/s] in the axes of base or tip."""
         frame, axes, what = message.header.frame_id, np.eye(3), 'delta_twist'
         if frame == self.tip:
-            self._fresh(message.header, what)
+            messages.check_age(self._node, message.header, what)
         else:
-            axes, _ = self._to_base(message.header, what, self.tip)
+            axes, _ = self._frames.of(message.header, what, self.tip)
         linear, angular = map(messages.xyz, (message.twist.linear, message.twist.angular))
         values = finite([*linear, *angular], what)
         if np.abs(values[:3]).max() > 1.0 or np.abs(values[3:]).max() > 10.0:
@@ -96,7 +96,7 @@ class Incoming:
 
     def states(self, message: JointState) -> tuple[Floats, Floats]:
         """Return tensions (m,) [N] and wire pulls (m,) [m]; nan where not observable."""
-        self._fresh(message.header, 'tendon_states')
+        messages.check_age(self._node, message.header, 'tendon_states')
         tensions, pulls = messages.tensions_and_pulls(message, self.model.inputs)
         for quantity, values in (('effort', message.effort), ('position', message.position)):
             if any(map(math.isinf, values)):
@@ -108,7 +108,7 @@ class Incoming:
     def trajectory(self, message: JointTrajectory) -> Trajectory | None:
         """Return a trajectory of tensions, or of wire pulls in pull mode; None ends one."""
         what, pull = 'tendon_trajectory', self.pull
-        self._fresh(message.header, what)
+        messages.check_age(self._node, message.header, what)
         if not message.points:
             return None
         quantity = 'positions' if pull else 'effort'
@@ -140,17 +140,9 @@ class Incoming:
 
         Refusal: it is farther than any tip of this robot.
         """
-        rotation, shift = self._to_base(header, what)
+        rotation, shift = self._frames.of(header, what)
         place = rotation @ finite(messages.xyz(point), what) + shift
         return position(place.tolist(), self._farthest, what), rotation
-
-    def _to_base(self, header: Header, what: str, *others: str) -> tuple[Floats, Floats]:
-        """Return rotation and translation of a message to the base; Refusal: stale, or no TF."""
-        return self._frames.of(header, what, self._parameters['stamp_tolerance'], *others)
-
-    def _fresh(self, header: Header, what: str) -> None:
-        """Refuse a stamp that is too old, or in the future."""
-        messages.check_age(self._node, header, what, self._parameters['stamp_tolerance'])
 
 
 class Prediction:

@@ -26,7 +26,7 @@ from ...drivers.safety import SafetyRules
 from ...model.model import Model
 from ...robot import Robot
 from ..shared import interface, messages
-from ..shared.parameters import Parameters, base_frame, read_config
+from ..shared.parameters import ParameterNode, Parameters, base_frame, read_config
 from ..shared.quality import COMMAND, JOINTS
 from ..shared.runtime import repeat
 
@@ -54,15 +54,13 @@ class MockTracker:
     The shape has one marker at the end of every cell.
     """
 
-    def __init__(
-        self, node: Node, driver: MockDriver, config: Mapping[str, Any], parameters: Parameters
-    ) -> None:
+    def __init__(self, node: ParameterNode, driver: MockDriver, config: Mapping[str, Any]) -> None:
         """Create publishers and timer; DriverError: the configuration is refused."""
         self._node, self._driver = node, driver
         self._config = tracker_config(config)
         self._random = np.random.default_rng(int(self._config['seed']))
         robot = driver.robot
-        self._frame = base_frame(parameters, robot.name)
+        self._frame = base_frame(node.parameters, robot.name)
         self._arc_lengths = np.cumsum(robot.cell_lengths)
         self._tip = messages.passing_publisher(node, *interface.topic('measured_tip'))
         self._shape = messages.passing_publisher(node, *interface.topic('measured_shape'))

@@ -25,14 +25,11 @@ from ...drivers.mock import MockDriver
 from ...drivers.safety import FOLLOWING, HOLDING, LIMP, OFF, RELEASED, StopLatch, Supervisor
 from ...drivers.tendon_check import due
 from ...robot import load_robot
-from ..shared import interface
-from ..shared.inbox import Inbox, Received
+from ..shared.inbox import Received
 from ..shared.lifecycle import ERROR, OK, WARN, Status, StoppableNode
-from ..shared.messages import check_age, offer_trigger, refilled, stamp_now
-from ..shared.parameters import Parameters
-from ..shared.quality import JOINTS
-from ..shared.runtime import end_requested, has_priority, on_end_request, repeat, run
-from ..shared.senders import OwnPublisher, Senders, gid_text
+from ..shared.messages import check_age, offer_trigger
+from ..shared.runtime import Ending, repeat, run
+from ..shared.senders import gid_text
 from ..shared.timing import VALUES_PERIOD_S
 from . import backend
 from .backend import MockTracker
@@ -57,8 +54,7 @@ class DriverNode(StoppableNode):
 
     def __init__(self) -> None:
         """Declare the parameters; no device is opened yet."""
-        super().__init__('driver', drives=True)
-        self.parameters = Parameters(self, 'driver')
+        super().__init__('driver', True, hears='tendon_command', says='tendon_states')
         self.parameters.watch({'mock_fault': self._inject}, self._retune)
         self.status = Status(self, 'motors')
         self.loop: MotorLoop | None = None
@@ -66,12 +62,6 @@ class DriverNode(StoppableNode):
         self._refusal: Refusal | None = None
         self._check_due = ''  # why the tendons need a check
         self._cycle: Cycle | None = None
-        self._senders = Senders(self, 'tendon_command')
-        self._state = JointState()
-        self._states = self.create_publisher(*interface.topic('tendon_states'))
-        self._own = OwnPublisher(self, self._states)
-        self._commands = Inbox(self, *interface.topic('tendon_command')[:2], JOINTS)
-        self.closing += self._commands, self._own
         self.listen()
         offer_trigger(self, '~/reset', self._reset)
         for name, act, outcome in (
@@ -86,7 +76,7 @@ class DriverNode(StoppableNode):
             if (latch := self.latch) is not None:
                 latch.stop(INACTIVE, INACTIVE_REASON)
 
-        on_end_request(let_go)
+        Ending.current.then(let_go)
 
     @property
     def latch(self) -> StopLatch | None:
@@ -114,10 +104,10 @@ class DriverNode(StoppableNode):
             driver, supervisor, 1.0 / self.parameters['rate'], self._report, self._receive
         )
         if isinstance(driver, MockDriver):
-            self._tracker = MockTracker(self, driver, tracker, self.parameters)
+            self._tracker = MockTracker(self, driver, tracker)
         self.latch_early_stops()
         self.loop.start()
-        if has_priority():  # a mock arm computes: motors of another robot have priority
+        if Ending.current.first:  # a mock arm computes: motors of another robot have priority
             mock = isinstance(driver, MockDriver)
             go_realtime(Realtime.MOCK_DRIVER if mock else Realtime.DRIVER)
 
@@ -159,12 +149,12 @@ class DriverNode(StoppableNode):
     def _receive(self) -> None:
         """Receive stops and commands; runs in the motor thread before every cycle."""
         self.stop_topic.poll()
-        for received in self._commands.take():
+        for received in self._inbox.take():
             try:
                 self._take(received)
             except Refusal as refusal:
                 self._refusal = refusal
-        if problem := self._commands.refused():
+        if problem := self._inbox.refused():
             self._refusal = Refusal('length', problem)
         if self._senders.died() and self.loop is not None:
             self.loop.let_go('the sender of the commands has died')
@@ -174,7 +164,7 @@ class DriverNode(StoppableNode):
         loop, message, what = self.loop, received.message, 'tendon_command'
         if loop is None:
             return
-        check_age(self, message.header, what, self.parameters['stamp_tolerance'])
+        check_age(self, message.header, what)
         if not message.name:
             if self._senders.counts(time.monotonic(), received):
                 loop.let_go(NO_MORE)
@@ -196,10 +186,7 @@ class DriverNode(StoppableNode):
         assert self.loop is not None
         if before is not None and before.releases < cycle.releases and self.executor is not None:
             self.executor.create_task(self._publish_status)  # so that the controller knows at once
-        message, reading = self._state, cycle.reading
-        message.name = self.loop.driver.inputs
-        refilled(message, stamp_now(self), reading.pulls, reading.tensions)
-        self._states.publish(message)
+        self.say(self.loop.driver.inputs, cycle.reading.pulls, cycle.reading.tensions)
 
     def _publish_status(self) -> None:
         """Publish the status."""
@@ -257,7 +244,7 @@ class DriverNode(StoppableNode):
     def _cancelled(self) -> bool:
         """Return whether to cancel a search for slack; called in the motor thread."""
         self.stop_topic.poll()
-        return end_requested() or bool(self.latch)
+        return bool(Ending.current.signal or self.latch)
 
     def stop_called(self) -> str:
         """Stop; return what follows, as the service `~/stop` answers."""

@@ -21,7 +21,6 @@ from pathlib import Path
 
 import numpy as np
 from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, Header, String
 
@@ -39,16 +38,16 @@ from ...monitoring.job import Work
 from ...robot import load_robot
 from ..shared import interface, messages
 from ..shared.lifecycle import ERROR, OK, WARN, Status
-from ..shared.parameters import Parameters, RemoteParameter, base_frame, parsed
+from ..shared.parameters import ParameterNode, RemoteParameter, base_frame, parsed
 from ..shared.quality import LISTEN
-from ..shared.runtime import Runnable, repeat, run
+from ..shared.runtime import repeat, run
 from ..shared.timing import SILENCE_S, STATUS_PERIOD_S, VALUES_PERIOD_S
 from .watching import Adapting, Watching
 
 HELP = 'compare the running robot with its model; record, diagnose, add what is missing'
 
 
-class MonitorNode(Runnable):
+class MonitorNode(ParameterNode):
     """ROS interface of the monitor; a diagnosis runs in a child process."""
 
     # of the monitor, since there is one
@@ -58,7 +57,6 @@ class MonitorNode(Runnable):
     def __init__(self) -> None:
         """Create topics and services; the model comes when the controller answers."""
         super().__init__('monitor')
-        self.parameters = Parameters(self, 'monitor')
         self.status = Status(self, 'model error')
         self.monitor: Monitor | None = None
         self.work = Work()
@@ -126,13 +124,10 @@ class MonitorNode(Runnable):
                 settings = self.parameters.fill(MonitorSettings)
                 monitor = Monitor(model, read_markers(markers, robot), settings)
                 self._base = base_frame(self.parameters, robot.name)
-                self._measured = MarkerInput(
-                    self, self.parameters, self._base, monitor, self._frame
-                )
+                self._measured = MarkerInput(self, self._base, monitor, self._frame)
                 if self.parameters['force_rate'] or self.parameters['reference_postures']:
-                    self.watching = Watching(self, self.parameters, monitor)
-                send = self._remote.put
-                self.adapting = Adapting(self, self.parameters, monitor, self._loading, send)
+                    self.watching = Watching(self, monitor)
+                self.adapting = Adapting(self, monitor, self._loading, self._remote.put)
                 self.monitor = monitor
             else:
                 self.monitor.set_model(model)
@@ -279,8 +274,7 @@ class MonitorNode(Runnable):
         if self.work.running:
             raise InputError('a diagnosis runs already')
         folder = Path(self.parameters['folder']) / datetime.now().strftime('%Y-%m-%d_%H-%M-%S_%f')
-        dataset = monitor.dataset('this recording')
-        save_dataset(dataset, folder.resolve())
+        save_dataset(monitor.dataset('this recording'), folder.resolve())
         monitor.recording, monitor.kept = False, True
         self.work.diagnose(folder.resolve(), self.parameters['effects'])
         return f'diagnosing {len(monitor.recorded)} postures: {folder}'
@@ -297,9 +291,8 @@ class MarkerInput:
 
     Parameters
     ----------
-    node : Node
-    parameters : Parameters
-        Of the monitor.
+    node : ParameterNode
+        The monitor.
     base : str
         The base frame.
     monitor : Monitor
@@ -311,19 +304,18 @@ class MarkerInput:
 
     def __init__(
         self,
-        node: Node,
-        parameters: Parameters,
+        node: ParameterNode,
         base: str,
         monitor: Monitor,
         take: Callable[[float, Floats], None],
     ) -> None:
         """Create the subscriptions; InputError: a parameter is invalid."""
-        self._node, self._parameters, self._taker = node, parameters, take
+        self._node, self._taker = node, take
         self._monitor, self.markers, self.problem = monitor, monitor.markers, ''
         self._waiting: tuple[float, Floats] | None = None
         self._frames = messages.Frames(node, base)
-        self._fixed = _transform(parameters['tracker_transform'])
-        topics = parsed(parameters['measured_markers'], 'measured_markers', dict)
+        self._fixed = _transform(node.parameters['tracker_transform'])
+        topics = parsed(node.parameters['measured_markers'], 'measured_markers', dict)
         self._frame: tuple[float, Floats] | None = None
         if topics:
             indices = {marker.name: index for index, marker in enumerate(self.markers)}
@@ -394,9 +386,8 @@ class MarkerInput:
     def _in_base(self, header: Header, points: Floats, what: str) -> tuple[float, Floats] | None:
         """Return time [s] and positions (J, 3) [m] in the base frame; None: they are refused."""
         try:
-            tolerance = self._parameters['stamp_tolerance']
-            now = messages.check_age(self._node, header, what, tolerance)
-            rotation, translation = self._fixed or self._frames.of(header, what, tolerance)
+            now = messages.check_age(self._node, header, what)
+            rotation, translation = self._fixed or self._frames.of(header, what)
         except Refusal as refusal:
             self.problem = str(refusal)
             return None

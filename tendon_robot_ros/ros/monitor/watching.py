@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Wrench, WrenchStamped
-from rclpy.node import Node
 from std_msgs.msg import Bool, Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory
 
@@ -30,7 +29,7 @@ from ...robot import Robot, dump_robot
 from ...robot.estimates import INPUT_TOLERANCE, natural_sizes
 from ..shared import interface
 from ..shared.messages import arrow_marker, header_now, vector
-from ..shared.parameters import Parameters, base_frame
+from ..shared.parameters import ParameterNode, base_frame
 
 Send = Callable[[str, Callable[[bool, str], None]], None]
 
@@ -38,8 +37,9 @@ Send = Callable[[str, Callable[[bool, str], None]], None]
 class Watching:
     """Passes postures and frames to the detection of drift and forces; publishes results."""
 
-    def __init__(self, node: Node, parameters: Parameters, monitor: Monitor) -> None:
+    def __init__(self, node: ParameterNode, monitor: Monitor) -> None:
         """Start to learn the arm."""
+        parameters = node.parameters
         self._node, self._parameters, self._monitor = node, parameters, monitor
         self._base = base_frame(parameters, monitor.model.robot.name)
         postures = int(parameters['reference_postures']) or WatchSettings.reference_postures
@@ -204,11 +204,9 @@ class Watching:
 class Adapting:
     """Passes postures to the adaptation, and its changes to the controller."""
 
-    def __init__(
-        self, node: Node, parameters: Parameters, monitor: Monitor, text: str, send: Send
-    ) -> None:
+    def __init__(self, node: ParameterNode, monitor: Monitor, text: str, send: Send) -> None:
         """Start from the model in use and its text; `send` sends the controller another one."""
-        self._node, self._parameters, self._monitor = node, parameters, monitor
+        self._node, self._parameters, self._monitor = node, node.parameters, monitor
         self._send, self._sent, self._waiting = send, text, False
         self._publisher = node.create_publisher(*interface.topic('monitor/adaptation'))
         self._begin(monitor.model)

@@ -5,22 +5,25 @@ from __future__ import annotations
 import gc
 import time
 import traceback
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+from sensor_msgs.msg import JointState
 
+from ...common.arrays import Floats
 from ...common.errors import MovedError, TendonRobotError
 from ...common.local_stop import StopListener, Stoppable
 from ...drivers.safety import StopLatch
 from . import interface
-from .inbox import STOP_REASON, Service, StopTopic
-from .messages import stamp_now
-from .parameters import Parameters
-from .runtime import Runnable
+from .inbox import STOP_REASON, Inbox, Service, StopTopic
+from .messages import refilled, stamp_now
+from .parameters import ParameterNode
+from .quality import JOINTS
+from .senders import OwnPublisher, Senders
 from .timing import NEWS_PERIOD_S, RETRY_PERIOD_S, STATUS_PERIOD_S, VALUES_PERIOD_S
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -28,7 +31,7 @@ LEVELS = {'ok': OK, 'warn': WARN, 'error': ERROR}
 STOP_CALLED = 'stop was called'
 
 
-class StoppableNode(Runnable, LifecycleNode):
+class StoppableNode(ParameterNode, LifecycleNode):
     """
     A lifecycle node whose transitions are plain methods, and that can be stopped at once.
 
@@ -44,17 +47,24 @@ class StoppableNode(Runnable, LifecycleNode):
     name : str
     drives : bool
         Whether the node drives motors.
+    hears, says : str
+        Topics of joints that it receives and publishes. The messages of one publisher count; every
+        publisher is known to the nodes that receive.
 
     """
 
-    parameters: Parameters
     status: Status
 
-    def __init__(self, name: str, drives: bool) -> None:
+    def __init__(self, name: str, drives: bool, hears: str, says: str) -> None:
         """Create the node, unconfigured; `listen` subscribes to stops."""
         super().__init__(name)
         self._drives, self._stopped = drives, False
-        self.closing = list[Any]()  # with a method `close`, which ends with the node
+        self._senders = Senders(self, hears)
+        self._inbox = Inbox[JointState](self, *interface.topic(hears)[:2], JOINTS)
+        self._message = JointState()  # filled anew for every publication
+        self._publisher = self.create_publisher(*interface.topic(says))
+        self._own = OwnPublisher(self, self._publisher)
+        self.closing: list[Any] = [self._inbox, self._own]  # what ends with the node
         service = self._service_change_state
         change_state = service.callback
 
@@ -155,6 +165,11 @@ class StoppableNode(Runnable, LifecycleNode):
             raise
         self.phase = phase
         return TransitionCallbackReturn.SUCCESS
+
+    def say(self, names: Sequence[str], position: Floats | None, effort: Floats | None) -> None:
+        """Publish joints with the present stamp."""
+        self._message.name = names
+        self._publisher.publish(refilled(self._message, stamp_now(self), position, effort))
 
     def listen(self, *services: Service) -> None:
         """Receive stops and answer services in a thread of their own."""

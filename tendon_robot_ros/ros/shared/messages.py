@@ -195,17 +195,26 @@ def _marker(header: Header, name: str, color: str, **fields: Any) -> Marker:
     return marker
 
 
-def check_age(node: Node, header: Header, what: str, tolerance: float) -> float:
-    """Return the time of the node's clock [s]; Refusal: the stamp is too old, or in the future."""
+def check_age(node: Any, header: Header, what: str) -> float:
+    """
+    Return the time of the node's clock [s].
+
+    Refusal: the stamp is older, or further in the future, than the node's `stamp_tolerance` [s].
+    """
     now = time_now(node)
-    check_stamp(seconds(header.stamp), now, tolerance, what)
+    check_stamp(seconds(header.stamp), now, node.parameters['stamp_tolerance'], what)
     return now
 
 
 class Frames:
-    """Transforms from the frames of messages to the base frame, by TF."""
+    """
+    Transforms from the frames of messages to the base frame, by TF.
 
-    def __init__(self, node: Node, base: str) -> None:
+    Messages and transforms are as old as the parameter `stamp_tolerance` of the node [s] at most;
+    a static transform has no age.
+    """
+
+    def __init__(self, node: Any, base: str) -> None:
         """Listen to TF where tf2_ros is installed (the wheels of rclpy do not have it)."""
         self._node, self.base = node, base
         self._buffer: Any = None
@@ -215,9 +224,7 @@ class Frames:
             self._buffer = Buffer()
             self._listener = TransformListener(self._buffer, node)
 
-    def of(
-        self, header: Header, what: str, tolerance: float, *others: str
-    ) -> tuple[Floats, Floats]:
+    def of(self, header: Header, what: str, *others: str) -> tuple[Floats, Floats]:
         """
         Return rotation (3, 3) and translation (3,) [m] of a message to the base frame.
 
@@ -227,8 +234,6 @@ class Frames:
             Its stamp of 0 means now.
         what : str
             Name of the message.
-        tolerance : float
-            Largest age of the message and of a transform [s]; a static one has no age.
         others : str
             Frames that would do besides the base, for the refusal.
 
@@ -238,7 +243,7 @@ class Frames:
             The message is old, or there is no transform of its time between the two frames.
 
         """
-        now, stamp = check_age(self._node, header, what, tolerance), seconds(header.stamp)
+        now, stamp = check_age(self._node, header, what), seconds(header.stamp)
         if (frame := header.frame_id) == self.base:
             return np.eye(3), np.zeros(3)
         try:
@@ -251,7 +256,7 @@ class Frames:
         except Exception:  # no buffer, or whatever tf2 raises: no transform
             check_frame(frame, [self.base, *others], what)
             raise Refusal('frame', f'{what}: frame {cut(frame)!r} is not usable') from None
-        age = (stamp or now) - at
+        age, tolerance = (stamp or now) - at, self._node.parameters['stamp_tolerance']
         if at > 0.0 and age > tolerance:
             raise Refusal(
                 'stale',

@@ -34,7 +34,7 @@ from ...common.yaml_reading import parse_yaml
 from ...robot import Robot, load_robot
 from ...robot.description import DESCRIPTION_MAX
 from .messages import Request
-from .runtime import given, repeat
+from .runtime import Runnable, given, repeat
 from .timing import STATUS_PERIOD_S
 
 TABLE = Path(__file__).parent.parent / 'parameters.yaml'  # the parameters of all nodes
@@ -176,6 +176,15 @@ class Parameters:
         if self._changed is not None:
             self._changed(accepted)
         return SetParametersResult(successful=True)
+
+
+class ParameterNode(Runnable):
+    """A node as `run` expects it, with the parameters that the table lists under its name."""
+
+    def __init__(self, name: str) -> None:
+        """Create the node; InputError: it was started with an invalid parameter."""
+        super().__init__(name)
+        self.parameters = Parameters(self, name)
 
 
 def base_frame(parameters: Parameters | Mapping[str, Any], robot: str) -> str:

@@ -7,13 +7,11 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PointStamped, PoseStamped
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -32,7 +30,7 @@ from ...robot.keep_out import joined, text_of
 from . import interface, messages
 from .parameters import RemoteParameter, declared
 from .quality import COMMAND
-from .runtime import SPIN_S, Ending
+from .runtime import SPIN_S, ClientNode, Ending
 from .timing import CALL_TIMEOUT_S, MOVE_TIMEOUT_S, REACTION_TIMEOUT_S, SILENCE_S
 
 SETTLED_CODES = ('reached', 'nearest', 'at_limit')
@@ -51,7 +49,7 @@ def add_controller(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--controller', default='controller', metavar='NAME', help=text)
 
 
-class Pilot(Node):
+class Pilot(ClientNode):
     """
     A node that sends targets to a running robot, reads statuses, and waits.
 
@@ -126,21 +124,6 @@ class Pilot(Node):
         interface.subscribe(self, 'controller/predicted_tip', predicted, controller)
         interface.subscribe(self, 'measured_tip', partial(tip, 'measured'))
         interface.subscribe(self, 'tendon_command', command, heard=COMMAND)
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self)
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Destroy the node."""
-        self.destroy_node()
-
-    def destroy_node(self) -> None:
-        """Shut down the executor and destroy the node."""
-        self._executor.shutdown()
-        super().destroy_node()
 
     @property
     def status(self) -> dict[str, str]:
@@ -214,7 +197,7 @@ class Pilot(Node):
         if self.ending.signal:
             raise KeyboardInterrupt
         with self.ending.interrupting(False):
-            self._executor.spin_once(timeout_sec=timeout)
+            self.serve(timeout)
 
     def parameter(self, name: str, node: str = '') -> Any:
         """Return a parameter, a text or a list of texts, of a node (default: the controller)."""
@@ -236,7 +219,7 @@ class Pilot(Node):
         self._remotes[self._controller, name].put(value, lambda *answer: answers.append(answer))
         end = time.monotonic() + timeout
         while not answers and time.monotonic() < end:
-            self._executor.spin_once(timeout_sec=SPIN_S)  # works after Ctrl-C, too
+            self.serve(SPIN_S)  # works after Ctrl-C, too
         return answers[0] if answers else (False, f'{self._controller} does not answer')
 
     def connect(self, timeout: float = REACTION_TIMEOUT_S) -> None:
@@ -320,6 +303,13 @@ class Pilot(Node):
             return self.settled(stamp, (*SETTLED_CODES, 'played'))
 
         self.wait(at_rest, timeout, what)
+
+    def play_to_the_end(
+        self, trajectory: Trajectory, what: str, timeout: float = MOVE_TIMEOUT_S
+    ) -> None:
+        """Play a trajectory and wait for its end, `timeout` [s] beyond its duration at most."""
+        self.clear()
+        self.settle(self.play(trajectory), trajectory.times[-1] + timeout, what)
 
     def stand_at(self, position: Floats, direction: Floats | None, what: str) -> None:
         """Send a target, (3,) [m] and (3,) or None, and wait until the tip is at rest there."""

@@ -23,7 +23,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import IO, Any
+from typing import IO, Any, Self
 
 import rclpy
 import rclpy.utilities
@@ -55,7 +55,7 @@ class Ending:
     the main thread returns to the interpreter: 0.1 s in an executor, and longer in a model.
     """
 
-    current: Ending | None = None
+    current: Ending  # the last one that was made
 
     def __init__(self, first: bool = False) -> None:
         """Start without a request; `first`: the process has priority over others."""
@@ -133,20 +133,7 @@ class Ending:
             receiver.close()
 
 
-def end_requested() -> bool:
-    """Return whether a signal came; for long work that can be cancelled."""
-    return Ending.current is not None and bool(Ending.current.signal)
-
-
-def has_priority() -> bool:
-    """Return whether this process has priority: it was started to move motors."""
-    return Ending.current is not None and Ending.current.first
-
-
-def on_end_request(action: Callable[[], object]) -> None:
-    """Have a function called by another thread as soon as a signal comes."""
-    if Ending.current is not None:
-        Ending.current.then(action)
+Ending()  # of a process in which `ros` has not made one
 
 
 class Runnable(Node):
@@ -161,6 +148,33 @@ class Runnable(Node):
 
     def end(self) -> None:
         """End safely, while messages are still sent."""
+
+
+class ClientNode(Node):
+    """A node that serves its own messages, when it is asked to; it ends with a `with` block."""
+
+    def __init__(self, name: str, **options: Any) -> None:
+        """Create the node and its executor; options as of a node of rclpy."""
+        super().__init__(name, **options)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self)
+
+    def serve(self, timeout: float) -> None:
+        """Serve one message, if one comes within `timeout` [s]."""
+        self._executor.spin_once(timeout_sec=timeout)
+
+    def destroy_node(self) -> None:
+        """Shut down the executor and destroy the node."""
+        self._executor.shutdown()
+        super().destroy_node()
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Destroy the node."""
+        self.destroy_node()
 
 
 def without_shared_memory() -> None:

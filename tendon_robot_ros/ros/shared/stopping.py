@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 
 from rclpy.client import Client
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.task import Future
 from std_msgs.msg import Bool
@@ -19,7 +17,7 @@ from std_srvs.srv import Trigger
 from ...common.local_stop import Stoppable
 from ...common.processes import go_realtime
 from .quality import LATCHED
-from .runtime import ros
+from .runtime import ClientNode, ros
 from .timing import NEWS_PERIOD_S, STOP_ANSWER_S
 
 TRIGGER, BOOL = 'std_srvs/srv/Trigger', 'std_msgs/msg/Bool'
@@ -49,13 +47,9 @@ def stop_nodes(
         Name of a node -> whether it drives motors, and why it has not stopped ('': it has).
 
     """
-    with ros(ros_arguments):
-        client = StopClient(below)
+    with ros(ros_arguments), StopClient(below) as client:
         go_realtime()  # discovery, too, on a busy machine
-        try:
-            results = client.stop({who.node for who, stopped in local.items() if stopped})
-        finally:
-            client.close()
+        results = client.stop({who.node for who, stopped in local.items() if stopped})
     for who, stopped in local.items():
         _, why = results.get(who.node, (who.drives, NO_ANSWER))
         results[who.node] = who.drives, '' if stopped else why
@@ -89,11 +83,11 @@ class Stopping:
             self.futures.append(self.client.call_async(Trigger.Request()))
 
 
-class StopClient(Node):
+class StopClient(ClientNode):
     """Discovers the nodes that can be stopped, and stops them."""
 
     def __init__(self, below: str) -> None:
-        """Create the node and its executor."""
+        """Create the node."""
         name = f'stop_{os.getpid()}'
         super().__init__(name, start_parameter_services=False, enable_rosout=False)
         self._below = below.rstrip('/') + '/'
@@ -101,8 +95,6 @@ class StopClient(Node):
         self._topics: dict[str, Publisher] = {}
         self._subscribers: dict[str, int] = {}  # topic -> subscriptions at the last message
         self._began = time.monotonic()
-        self._spinning = SingleThreadedExecutor()
-        self._spinning.add_node(self)
 
     def stop(self, stopped: Set[str]) -> dict[str, tuple[bool, str]]:
         """
@@ -123,7 +115,7 @@ class StopClient(Node):
                 if count > self._subscribers.get(topic, 0):  # there is a new subscription
                     publisher.publish(Bool(data=True))
                 self._subscribers[topic] = count
-            self._spinning.spin_once(timeout_sec=NEWS_PERIOD_S)
+            self.serve(NEWS_PERIOD_S)
         if not any(one.why for name, one in self._targets.items() if name not in stopped):
             # the services have latched the stop: a false clears the cause of the topic
             for topic, publisher in self._topics.items():
@@ -132,11 +124,6 @@ class StopClient(Node):
             for publisher in self._topics.values():  # else it is lost with its publisher
                 publisher.wait_for_all_acked(Duration(seconds=STOP_ANSWER_S))
         return {name: (one.drives, one.why) for name, one in self._targets.items()}
-
-    def close(self) -> None:
-        """Shut down the executor and destroy the node."""
-        self._spinning.shutdown()
-        self.destroy_node()
 
     def _discover(self) -> None:
         """Discover nodes with the services stop and reset and a status."""

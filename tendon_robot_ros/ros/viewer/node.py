@@ -30,9 +30,9 @@ from ...robot import Robot
 from ..shared import interface
 from ..shared.lifecycle import OK, Status
 from ..shared.messages import Request, header_now, point, points_of, status_values
-from ..shared.parameters import Parameters, watch_robot
+from ..shared.parameters import ParameterNode, watch_robot
 from ..shared.quality import STATE
-from ..shared.runtime import Runnable, repeat, run
+from ..shared.runtime import repeat, run
 from .page import LivePage
 from .state import PANEL_PERIOD_S, ViewState
 
@@ -47,13 +47,12 @@ SERVICES = {
 }
 
 
-class ViewerNode(Runnable):
+class ViewerNode(ParameterNode):
     """Shows topics on the page; clicks become messages and service calls."""
 
     def __init__(self) -> None:
         """Open the page and create the subscriptions; the other nodes may start and end."""
         super().__init__('viewer')
-        self.parameters = Parameters(self, 'viewer')
         self.state = ViewState()
         nodes = ('controller', 'driver', 'monitor', 'investigate')
         names = {key: self.parameters[key] for key in nodes}
@@ -129,8 +128,7 @@ class ViewerNode(Runnable):
             'investigate/progress': lambda m: state.add_investigation(m.data),
         }
         for topic, callback in topics.items():
-            at = names.get(topic.partition('/')[0], '')
-            interface.subscribe(self, topic, callback, at)
+            interface.subscribe(self, topic, callback, names.get(topic.partition('/')[0], ''))
 
     def _cycle(self) -> None:
         """Handle clicks, draw the arms, and update the panel every `PANEL_PERIOD_S`."""

@@ -208,8 +208,7 @@ class LivePage:
             disable_rotations=True,
             disable_sliders=True,
         )
-        place = self._guarded('target', lambda: np.array(self._target.position))
-        self._target.on_update(place)
+        self._target.on_update(self._guarded('target', lambda: np.array(self._target.position)))
 
     def _line(self, name: str, segments: Floats) -> None:
         """Show segments (s, 2, 3) [m]; while their number stays, only the points are sent."""
