@@ -196,7 +196,7 @@ def check_tendons(args: argparse.Namespace) -> int:
 def _content(path: str) -> dict[str, Any]:
     """Read a YAML file of keys with values."""
 
-    def refuse(reason: object) -> InputError:
+    def refuse(reason: str) -> InputError:
         return InputError(f'{path}: expected keys with values (YAML), got {reason}')
 
     content = read_yaml(Path(path), refuse)

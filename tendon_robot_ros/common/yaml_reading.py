@@ -44,15 +44,11 @@ class _Explaining(_Counting, yaml.SafeLoader):
     """The loader in pure Python, whose errors name the position more exactly."""
 
 
-def parse_yaml(text: str) -> Any:
+def parse_yaml(text: str, refuse: Callable[[str], Exception] = ValueError) -> Any:
     """
     Read YAML text into plain values; nothing in it is ever executed.
 
-    Raises
-    ------
-    ValueError
-        With the reason on one line.
-
+    Where that fails, what `refuse` makes of the reason, on one line, is raised.
     """
     try:
         return yaml.load(text, Loader=_Plain)
@@ -64,18 +60,14 @@ def parse_yaml(text: str) -> Any:
             except yaml.MarkedYAMLError as explained:
                 error = explained
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise ValueError(f'line {line}: {error.problem}') from None
+        raise refuse(f'line {line}: {error.problem}') from None
     except (yaml.YAMLError, ValueError) as error:  # a date such as 2000-99-99 is a ValueError
-        raise ValueError(' '.join(str(error).split())) from None
+        raise refuse(' '.join(str(error).split())) from None
 
 
-def read_yaml(path: Path, refuse: Callable[[object], TendonRobotError]) -> Any:
+def read_yaml(path: Path, refuse: Callable[[str], TendonRobotError]) -> Any:
     """Read a YAML file into plain values; `refuse` makes the error from a reason."""
-    text = read_text(path, refuse)
-    try:
-        return parse_yaml(text)
-    except ValueError as error:
-        raise refuse(error) from None
+    return parse_yaml(read_text(path, refuse), refuse)
 
 
 class Reader:

@@ -42,11 +42,11 @@ class DatasetFields(Reader):
     @classmethod
     def parse(cls, text: str, source: str) -> Self:
         """Read YAML text; DataSetError where it is none."""
-        try:
-            return cls(source, '', parse_yaml(text))
-        except ValueError as error:
-            problem = f'is no valid YAML ({error})'
-            raise DataSetError(source, problem, 'correct that line') from None
+
+        def refuse(reason: str) -> DataSetError:
+            return DataSetError(source, f'is no valid YAML ({reason})', 'correct that line')
+
+        return cls(source, '', parse_yaml(text, refuse))
 
     def error(self, key: str, expected: str, got: object) -> DataSetError:
         """Build the error for a key."""

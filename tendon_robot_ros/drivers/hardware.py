@@ -250,7 +250,7 @@ def read_calibrations(top: ConfigFields, required: bool) -> ConfigFields:
     if not required and not file.exists():
         return ConfigFields(str(file), '', {})
 
-    def refuse(reason: object) -> TendonRobotError:
+    def refuse(reason: str) -> TendonRobotError:
         return top.error('calibration', 'a readable YAML file', f'{file}: {reason}')
 
     return ConfigFields(str(file), '', read_yaml(file, refuse))

@@ -125,11 +125,8 @@ def changes(reference: TendonReference, now: TendonReference) -> list[TendonChan
 
 def read_reference(path: Path) -> TendonReference:
     """Read a reference that `save_reference` has written; one line where it is not valid."""
-
-    def refuse(reason: object) -> InputError:
-        return InputError(f'{path}: cannot be read: {reason}')
-
-    top = ConfigFields(str(path), '', read_yaml(path, refuse))
+    content = read_yaml(path, lambda reason: InputError(f'{path}: cannot be read: {reason}'))
+    top = ConfigFields(str(path), '', content)
     top.only(*(field.name for field in fields(TendonReference)))
     names = top.content.get('inputs')
     if not isinstance(names, list) or not names:

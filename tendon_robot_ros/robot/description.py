@@ -200,10 +200,9 @@ def parse_robot(text: str, source: str = 'robot') -> Robot:
     if len(text) > DESCRIPTION_MAX:
         expected = f'at most {DESCRIPTION_MAX:,} characters'
         raise RobotDescriptionError(source, 'file', expected, 'more than that')
-    try:
-        content = parse_yaml(text)
-    except ValueError as error:
-        raise RobotDescriptionError(source, 'file', 'valid YAML', str(error)) from None
+    content = parse_yaml(
+        text, lambda reason: RobotDescriptionError(source, 'file', 'valid YAML', reason)
+    )
     if content is None:
         expected = 'a robot description (`robot new` writes one)'
         raise RobotDescriptionError(source, 'file', expected, 'an empty file')

@@ -12,9 +12,8 @@ vector of the box about its centre. `margin` is kept besides: the thickness of t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -102,7 +101,7 @@ class Clearance:
 class KeepOut:
     """Regions that no part of the arm may enter; without any, everything is allowed."""
 
-    regions: tuple[Region, ...] = field(default=())
+    regions: tuple[Region, ...] = ()
 
     def __bool__(self) -> bool:
         """Whether there are regions."""
@@ -159,13 +158,10 @@ def parse_keep_out(text: str, source: str = 'keep_out') -> KeepOut:
     """
     if len(text) > TEXT_MAX:
         raise InputError(f'{source}: expected at most {TEXT_MAX} characters, got {len(text)}')
-    try:
-        content: Any = parse_yaml(text)
-    except ValueError as error:
-        raise InputError(f'{source}: {error}') from None
-    if content is None or content == []:
-        return KeepOut()
-    reader = Reader(source, '', {'keep_out': content} if isinstance(content, list) else content)
+    content = parse_yaml(text, lambda reason: InputError(f'{source}: {reason}'))
+    if content is None or isinstance(content, list):
+        content = {'keep_out': content or []}
+    reader = Reader(source, '', content)
     reader.only('keep_out')
     if reader.content.get('keep_out') == []:
         return KeepOut()
@@ -187,7 +183,7 @@ def joined(*texts: str) -> str:
     items: list[object] = []
     for text in texts:
         parse_keep_out(text)  # raises where it is not valid
-        content: Any = parse_yaml(text) or []
+        content = parse_yaml(text) or []
         content = content if isinstance(content, list) else content['keep_out']
         items += [item for item in content if item not in items]
     merged = yaml.safe_dump({'keep_out': items}, default_flow_style=None)
