@@ -173,24 +173,19 @@ class DynamixelDriver(PortDriver):
     def _send(self) -> None:
         """Send the goals, and the current limit while it is reduced and for a while after."""
         on = [motor for motor in self.motors.values() if motor.torque_requested]
-        current_bounds = {motor.identity: motor.current_bounds for motor in on}
         if self._limits_reduced() or self._limit_due > 0:
-            largest = {identity: high for identity, (_, high) in current_bounds.items()}
-            self.link.send_goals('goal_current', largest, current_bounds)
+            servos.send_currents(self.link, {motor: motor.current_bounds[1] for motor in on})
             self._limit_due -= 1
         tension = self.mode == 'tension'
         # a silent servo may have lost its power and its count of turns: a position goal would
         # wind it on
         goals = {
-            motor.identity: motor.goal([self._goal[self.inputs.index(n)] for n in motor.names])
+            motor: motor.goal([self._goal[self.inputs.index(n)] for n in motor.names])
             for motor in on
             if motor.answers or tension
         }
-        if tension:
-            self.link.send_goals('goal_current', goals, current_bounds)
-        else:
-            bounds = {motor.identity: motor.position_bounds for motor in on}
-            self.link.send_goals('goal_position', goals, bounds)
+        send = servos.send_currents if tension else servos.send_positions
+        send(self.link, goals)
 
     def limit_current(self, reduction: float, tension: float) -> None:
         """Reduce the current from what motors carry (0: their limit) to `tension` [N] (1)."""

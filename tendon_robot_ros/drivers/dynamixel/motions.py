@@ -243,9 +243,7 @@ def wind_until_taut(
         servos.read_state(bus, [search.motor for search in searches])
         for search in searches:
             search.cycle(passed)
-        goals = {s.motor.identity: round(s.goal) for s in searches}
-        bounds = {s.motor.identity: s.motor.position_bounds for s in searches}
-        bus.send_goals('goal_position', goals, bounds)
+        servos.send_positions(bus, {search.motor: round(search.goal) for search in searches})
         time.sleep(CYCLE_S)
     for search in searches:
         search.motor.zero = search.middle
@@ -317,9 +315,7 @@ def wind_weight(
 
 def turn_to(bus: Bus, motor: Motor, ticks: int) -> None:
     """Send a goal and read what the motor does a period later."""
-    bus.send_goals(
-        'goal_position', {motor.identity: ticks}, {motor.identity: motor.position_bounds}
-    )
+    servos.send_positions(bus, {motor: ticks})
     time.sleep(CYCLE_S)
     for _ in range(HICCUPS_MAX):
         servos.read_state(bus, [motor])

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -376,17 +376,26 @@ def torque_on(bus: Bus, motors: Collection[Motor], mode: int, watchdog: int) -> 
         must_write(bus, motor, 'bus_watchdog', watchdog)
 
 
+def send_currents(bus: Bus, currents: Mapping[Motor, int]) -> None:
+    """Send goal currents [counts], within the bounds of each motor."""
+    goals = {motor.identity: current for motor, current in currents.items()}
+    bus.send_goals('goal_current', goals, {m.identity: m.current_bounds for m in currents})
+
+
+def send_positions(bus: Bus, positions: Mapping[Motor, int]) -> None:
+    """Send goal positions [ticks], within the bounds of each motor."""
+    goals = {motor.identity: ticks for motor, ticks in positions.items()}
+    bus.send_goals('goal_position', goals, {m.identity: m.position_bounds for m in positions})
+
+
 def hold(bus: Bus, motors: Collection[Motor], mode: int) -> None:
     """Make the present state the goal: the measured current, or the measured position."""
     chosen = [motor for motor in motors if motor.ticks is not None]
-    bounds = {motor.identity: motor.current_bounds for motor in chosen}
     if mode == OperatingMode.CURRENT:
-        currents = {motor.identity: motor.current or 0 for motor in chosen}
-        bus.send_goals('goal_current', currents, bounds)
+        send_currents(bus, {motor: motor.current or 0 for motor in chosen})
         return
     if mode == OperatingMode.CURRENT_BASED_POSITION:
-        largest = {identity: high for identity, (_, high) in bounds.items()}
-        bus.send_goals('goal_current', largest, bounds)
+        send_currents(bus, {motor: motor.current_bounds[1] for motor in chosen})
     ticks = {motor.identity: motor.ticks or 0 for motor in chosen}
     bus.send_goals('goal_position', ticks, {i: (goal, goal) for i, goal in ticks.items()})
 
