@@ -48,11 +48,10 @@ class Cell:
     slope_error: float = 0.0
     scatter: float = 0.0
 
-    def uncertainty(self, tension: Floats) -> Floats:
-        """Return the standard uncertainty [N] at tensions [N], any shape."""
+    def uncertainty(self, tension: float) -> float:
+        """Return the standard uncertainty [N] at a tension [N]."""
         fixed = self.newtons_per_count * math.hypot(self.zero_error, self.scatter)
-        relative = self.slope_error / self.newtons_per_count
-        return np.hypot(fixed, relative * tension)
+        return math.hypot(fixed, self.slope_error / self.newtons_per_count * tension)
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,7 @@ def cell_mapping(cell: Cell, points: Sequence[CountsPoint]) -> dict[str, Any]:
         'zero_error': round(cell.zero_error, 2),
         'slope_error': float(f'{cell.slope_error:.3g}'),
         'scatter': round(cell.scatter, 2),
-        'uncertainty': float(f'{cell.uncertainty(np.array(heaviest)):.3g}'),
+        'uncertainty': float(f'{cell.uncertainty(heaviest):.3g}'),
         'tensions': [round(point.tension, 4) for point in points],
         'date': datetime.date.today().isoformat(),
     }

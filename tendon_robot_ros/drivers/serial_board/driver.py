@@ -64,7 +64,7 @@ class SerialDriver(PortDriver):
         self.link.let_go()
         self.link.ask(Message.CLEAR, b'\xff')
         self.zero[:] = np.nan  # anybody may have turned the spools since it was closed
-        self.link.configure(self.config, np.nan_to_num(self.zero))
+        self.link.configure(self.config)
         if self._receive(1.0) is None:
             raise DriverError(f'{self.config.port}: no telemetry; check the baud rate')
         self._zero_in_place()
@@ -133,7 +133,7 @@ class SerialDriver(PortDriver):
             if telemetry is not None:
                 facts[f'{tendon}: current (A)'] = f'{telemetry.currents[tendon.channel]:.3f}'
             if tendon.cell is not None:
-                doubt = float(tendon.cell.uncertainty(np.array(tendon.tension_limit)))
+                doubt = tendon.cell.uncertainty(tendon.tension_limit)
                 facts[f'{tendon}: tension_uncertainty (N)'] = f'{doubt:.2g}'  # at its limit
         return facts
 
@@ -173,8 +173,7 @@ class SerialDriver(PortDriver):
 
     def _pulls(self) -> Floats:
         """Return wire pulls from the zero, shape (m,) [m]; nan where the encoder has a fault."""
-        pulls: Floats = self._board_pulls(ChannelFault.ENCODER) - np.nan_to_num(self.zero)
-        return pulls
+        return np.asarray(self._board_pulls(ChannelFault.ENCODER) - np.nan_to_num(self.zero))
 
     def _channels(self, name: str, fault: int) -> Floats:
         """Return a value of the telemetry, shape (m,); nan where a channel has the fault."""
@@ -241,7 +240,7 @@ class SerialDriver(PortDriver):
             # motors stay off
             self.restarted |= self.torque_requested
             self.zero[:] = np.nan
-            self.link.configure(self.config, np.nan_to_num(self.zero))
+            self.link.configure(self.config)
             newest = self._receive(ANSWER_TIMEOUT_S) or newest
         enabled = np.array([newest.enabled >> i & 1 for i in self.config.places], dtype=bool)
         healthy = newest.faults[self.config.places] == 0
@@ -335,8 +334,7 @@ class SerialDriver(PortDriver):
 
     def _board_pulls(self, fault: int = 0) -> Floats:
         """Return the wire pulls from the board's zero, (m,) [m]; nan where there is the fault."""
-        pulls: Floats = self._channels('pulls', fault) / self.config.counted
-        return pulls
+        return np.asarray(self._channels('pulls', fault) / self.config.counted)
 
     def _refuse_too_far(self, which: Bools) -> None:
         """Raise DriverError for inputs (m,) whose search for slack has gone too far."""

@@ -16,16 +16,10 @@ import numpy as np
 
 from ...common.arrays import Floats
 from ...common.errors import DriverError
+from .. import serial_port
 from ..hardware import READINGS_MIN, STANDING_S
 from ..interface import CYCLE_S
-from ..serial_port import (
-    ANSWER_TIMEOUT_S,
-    HICCUPS_MAX,
-    RESTART_TIMEOUT_S,
-    PortLink,
-    PortLostError,
-    write_all,
-)
+from ..serial_port import ANSWER_TIMEOUT_S, RESTART_TIMEOUT_S, PortLostError
 from . import messages
 from .config import BoardConfig, CountsPoint
 from .messages import Frame, FrameReceiver, Identity, Message, Protocol, Telemetry, encode
@@ -33,7 +27,7 @@ from .messages import Frame, FrameReceiver, Identity, Message, Protocol, Telemet
 RELEASE_TIME_S = 10.0  # [s] of a board left under tension, so that a slow release comes to an end
 
 
-class BoardLink(PortLink):
+class BoardLink(serial_port.PortLink):
     """
     One port with one board.
 
@@ -80,7 +74,7 @@ class BoardLink(PortLink):
         with self.conversation() as port:
             self._sequence = (self._sequence + 1) & 0xFF
             self.sent_at = time.monotonic()
-            write_all(port.fileno(), encode(kind, self._sequence, payload))
+            serial_port.write_all(port.fileno(), encode(kind, self._sequence, payload))
         return self._sequence
 
     def receive(self, wait: float) -> list[Frame]:
@@ -114,7 +108,7 @@ class BoardLink(PortLink):
                 return frames
         return []
 
-    def ask(self, kind: int, payload: bytes, attempts: int = HICCUPS_MAX + 1) -> None:
+    def ask(self, kind: int, payload: bytes, attempts: int = serial_port.HICCUPS_MAX + 1) -> None:
         """
         Send a message until the board acknowledges it.
 
@@ -171,13 +165,13 @@ class BoardLink(PortLink):
                 last = self.channels - 1
                 raise DriverError(f'{config.source}: {wire}: the board has channels 0 to {last}')
 
-    def configure(self, config: BoardConfig, zeros: Floats) -> None:
-        """Send the board its configuration; its motors are off. `zeros`: shape (m,) [m]."""
+    def configure(self, config: BoardConfig) -> None:
+        """Send the board its configuration; its motors are off, the zeros of the wires unknown."""
         for wire in config.tendons:
             if (cell := wire.cell) is not None:
                 values = (cell.zero, cell.newtons_per_count, wire.spool.metres_per_tick)
                 self.ask(Message.CALIBRATION, messages.calibration(wire.channel, *values))
-        self.give_limits(config, zeros)
+        self.give_limits(config, np.zeros(len(config.tendons)))
         content = messages.settings(
             config.command_timeout,
             config.release_to,
