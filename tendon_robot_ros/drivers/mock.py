@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
@@ -56,25 +56,23 @@ class MockDriver(HardwareDriver):
 
     The plant is any object with `respond(tensions)` and `respond_to_pulls(pulls)`, (m,) [N] or
     [m], nan = slack. Both return a state with `inputs` (m,) [N] and `pulls` (m,) [m], as `Shape`.
+    The motors lag by the time of `clock` [s].
     """
 
+    clock = staticmethod(time.monotonic)
+
     def __init__(
-        self,
-        robot: Robot,
-        plant: Any,
-        config: MockConfig | None = None,
-        mode: str = 'tension',
-        clock: Callable[[], float] = time.monotonic,
+        self, robot: Robot, plant: Any, config: MockConfig | None = None, mode: str = 'tension'
     ) -> None:
         """Take the plant; it starts straight and slack."""
         m = len(robot.inputs)
         pull_max = 2.0 * math.pi * max(max(map(abs, (*t.base, *t.end))) for t in robot.tendons)
         limits = robot.tension_limits if mode == 'tension' else (-pull_max, pull_max)
         super().__init__(robot, mode, 'MockDriver', np.tile(limits, (m, 1)), np.full(m, np.inf))
-        self.config, self.plant, self._clock = config or MockConfig(), plant, clock
+        self.config, self.plant = config or MockConfig(), plant
         self._random = np.random.default_rng(self.config.seed)
         self._on, self._actual = np.zeros(m, dtype=bool), np.zeros(m)
-        self._updated = clock()
+        self._updated = self.clock()
         self._injected: dict[str, Fault] = {}
         self._state: Any = None
         self._given: Floats | None = None  # what the plant last responded to
@@ -97,7 +95,7 @@ class MockDriver(HardwareDriver):
         if 'port' in self._injected:
             raise DriverError(self._injected['port'].message)
         self._is_open = True
-        self._updated = self._clock()
+        self._updated = self.clock()
         self._advance()
 
     def close(self) -> None:
@@ -189,7 +187,7 @@ class MockDriver(HardwareDriver):
 
     def _advance(self) -> None:
         """Let the motors follow their command since the last call, and the arm the motors."""
-        now = self._clock()
+        now = self.clock()
         passed, self._updated = max(now - self._updated, 0.0), now
         part = 1.0 if self.config.lag <= 0.0 else -math.expm1(-passed / self.config.lag)
         goal = np.where(self._on, self._goal, 0.0)
