@@ -32,11 +32,11 @@ class DynamixelDriver(PortDriver):
 
     def __init__(self, robot: Robot, config: DynamixelConfig, mode: str) -> None:
         """Take robot, checked configuration, and `tension` or `pull`."""
-        bus = Bus(config.port, config.baudrate, config.answer_time)
-        super().__init__(robot, mode, config, bus, config.motors)
+        super().__init__(robot, mode, config, config.motors)
+        self.link = Bus(config.port, config.baudrate, config.answer_time)
         self.motors = make_motors(config, mode)
         self._operating = servos.operating_mode(config, mode)
-        self._watch = servos.Watch(bus, self._operating)
+        self._watch = servos.Watch(self.link, self._operating)
         self._silence, self._silent_after = 'set when torque comes on', float('nan')  # [s]
         self._latency: int | None = None
         self._lost: list[Motor] = []

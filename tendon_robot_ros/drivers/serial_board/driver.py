@@ -48,8 +48,8 @@ class SerialDriver(PortDriver):
 
     def __init__(self, robot: Robot, config: BoardConfig, mode: str) -> None:
         """Take robot, checked configuration, and `tension` or `pull`."""
-        link = BoardLink(config.port, config.baudrate)
-        super().__init__(robot, mode, config, link, config.tendons)
+        super().__init__(robot, mode, config, config.tendons)
+        self.link = BoardLink(config.port, config.baudrate)
         self.released_after = config.command_timeout
         self.telemetry: Telemetry | None = None
         self.zero = np.full(len(self.inputs), np.nan)  # [m] on the board where pull is 0
