@@ -105,10 +105,6 @@ class Reader:
         """Open the mapping below a key, empty when absent."""
         return type(self)(self.source, self._where(key), self.content.get(key))
 
-    def mapping(self, key: str) -> dict[str, Any]:
-        """Return the mapping below a key, empty when absent."""
-        return self.child(key).content
-
     def items(self, key: str) -> Iterator[Self]:
         """Open each entry of a list."""
         value = self.content.get(key)
@@ -245,10 +241,3 @@ class ConfigFields(Reader):
     def value(self, key: str, default: float, low: float, high: float, unit: str) -> float:
         """Return a number, or the default when absent."""
         return self.number(key, low, high, unit) if self.has(key) else default
-
-    def port(self) -> str:
-        """Return the path of the serial port."""
-        value = self.content.get('port')
-        if not isinstance(value, str) or not value:
-            raise self.error('port', 'the path of a serial port, such as /dev/ttyUSB0', value)
-        return value

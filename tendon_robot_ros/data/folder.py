@@ -130,7 +130,7 @@ def describe(fields: DatasetFields, robot: Robot) -> dict[str, Any]:
     noise = fields.child('tension_noise')
     noise.only('setting', 'trial')
     known: dict[str, dict[str, float]] = {}  # checked later, against the catalogue
-    for name in fields.mapping('known'):
+    for name in fields.child('known').content:
         effect = fields.child('known').child(str(name))
         if not effect.content:
             raise fields.error(

@@ -200,7 +200,9 @@ def read_port_config(
 
     """
     low, high = robot.tension_limits
-    port, baudrate = top.port(), top.content.get('baudrate', 1_000_000)
+    port, baudrate = top.content.get('port'), top.content.get('baudrate', 1_000_000)
+    if not isinstance(port, str) or not port:
+        raise top.error('port', 'the path of a serial port, such as /dev/ttyUSB0', port)
     if baudrate not in known:
         raise top.error('baudrate', f'one of {", ".join(map(str, known))}', baudrate)
     return {

@@ -225,7 +225,7 @@ def check_robot(top: Reader) -> Robot:
         if tendon.drum in names:
             raise top.error('tendons', 'drums with names of their own', tendon.drum)
     effects: dict[str, EffectValues] = {}
-    for name in top.mapping('effects'):
+    for name in top.child('effects').content:
         effect = top.child('effects').child(str(name))
         effects[str(name)] = {str(key): effect.numbers(str(key)) for key in effect.content}
     tolerances = top.child('tolerances')
@@ -238,7 +238,7 @@ def check_robot(top: Reader) -> Robot:
         effects=effects,
         gravity=top.vector('gravity', 3) if top.has('gravity') else None,
         tolerances={key: tolerances.number(key, 0.0, 1.0) for key in tolerances.content},
-        fitted=dict(top.mapping('fitted')),
+        fitted=dict(top.child('fitted').content),
         exact=top.flag('exact'),
         model_error=top.length('model_error') if top.has('model_error') else None,
         source=top.source,
