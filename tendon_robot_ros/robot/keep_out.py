@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -74,8 +75,7 @@ class Box:
 Solid = Plane | Sphere | Box
 
 
-@dataclass(frozen=True)
-class Region:
+class Region(NamedTuple):
     """A named solid and the distance that is kept from it."""
 
     name: str
@@ -83,8 +83,7 @@ class Region:
     margin: float = 0.0  # [m]
 
 
-@dataclass(frozen=True)
-class Clearance:
+class Clearance(NamedTuple):
     """The minimum distance of points from all regions."""
 
     distance: float  # [m], its margin taken off; negative: inside; inf without regions
