@@ -120,10 +120,7 @@ class Firmware:
     def step(self, now: int) -> None:
         """Let its clock go to `now` [µs] with the present `sensors`."""
         self._library.host_step(
-            ctypes.addressof(self.sensors),
-            now & 0xFFFFFFFF,
-            ctypes.addressof(self._duties),
-            ctypes.addressof(self._enabled),
+            self.sensors, now & 0xFFFFFFFF, self._duties, ctypes.byref(self._enabled)
         )
         self.duties, self.enabled = list(self._duties), self._enabled.value
 
