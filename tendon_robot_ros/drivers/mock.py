@@ -74,7 +74,7 @@ class MockDriver(HardwareDriver):
         self._on, self._actual = np.zeros(m, dtype=bool), np.zeros(m)
         self._updated = self.clock()
         self._injected: dict[str, Fault] = {}
-        self._state: Any = None
+        self.truth: Any = None  # the arm as it is, for a mock tracker and for tests, once it moved
         self._given: Floats | None = None  # what the plant last responded to
         self._problem = ''
 
@@ -84,11 +84,6 @@ class MockDriver(HardwareDriver):
     ) -> Self:
         """Make the driver from its configuration."""
         return cls(robot, plant, MockConfig.checked(config, source), mode)
-
-    @property
-    def truth(self) -> Any:
-        """The arm as it is, for a mock tracker and for tests; None before it was moved."""
-        return self._state
 
     def open(self) -> None:
         """Read the plant once."""
@@ -108,8 +103,8 @@ class MockDriver(HardwareDriver):
         if hard := [fault.message for fault in self._injected.values() if fault.hardware]:
             raise DriverError('enable: ' + '; '.join(hard))
         self._advance()
-        if self.mode == 'pull' and self._state is not None:
-            self._actual = np.where(self._on, self._actual, self._state.pulls)
+        if self.mode == 'pull' and self.truth is not None:
+            self._actual = np.where(self._on, self._actual, self.truth.pulls)
         self._goal = self._actual.copy()
         self._on[:] = True
 
@@ -130,7 +125,7 @@ class MockDriver(HardwareDriver):
         """Return the plant's state with noise."""
         self._require_open('read')
         self._advance()
-        state, lost = self._state, self._lost()
+        state, lost = self.truth, self._lost()
         pulls, tensions = np.zeros((2, len(self.inputs)))
         if state is not None:
             pulls = np.array(state.pulls) + self._noise(self.config.pull_noise)
@@ -201,6 +196,6 @@ class MockDriver(HardwareDriver):
         self._given = inputs
         respond = self.plant.respond if self.mode == 'tension' else self.plant.respond_to_pulls
         try:
-            self._state, self._problem = respond(inputs), ''
+            self.truth, self._problem = respond(inputs), ''
         except TendonRobotError as error:  # the arm stays where it is, the reading says why
             self._problem = f'mock arm: {error}'
