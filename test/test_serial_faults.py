@@ -77,7 +77,7 @@ def test_a_few_broken_frames_change_nothing(arm, what):
     for reading in emulated.cycle(driver, command, 0.2):
         assert not reading.faults
         np.testing.assert_allclose(reading.tensions, before.tensions, atol=0.2)
-    assert what == 'doubled' or driver.link.bad + driver.link.missed > 0
+    assert what == 'doubled' or driver.link.receiver.bad + driver.link.missed > 0
 
 
 @pytest.mark.slow

@@ -117,11 +117,10 @@ class DynamixelDriver(PortDriver):
 
     def describe(self) -> dict[str, str]:
         """Return facts about bus and servos: names with units to values."""
-        latency = self._latency
         facts = {
             'port': self.config.port,
             'baud_rate (1/s)': str(self.config.baudrate),
-            'latency_timer (s)': '' if latency is None else f'{1e-3 * latency:g}',
+            'latency_timer (s)': '' if self._latency is None else f'{1e-3 * self._latency:g}',
             'group read': 'fast sync read' if self.link.fast else 'sync read',
             'tension_uncertainty (N)': f'{max(w.resolution.band for w in self.config.motors):.3g}',
         }

@@ -17,7 +17,7 @@ import math
 import time
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from ...common.errors import DriverError
 from ...common.processes import in_realtime
@@ -26,13 +26,13 @@ from .bus import Bus
 from .config import DynamixelConfig
 from .control_table import (
     GAINS,
+    HARDWARE_ERRORS,
     INSTEAD,
     MODEL_NAMES,
     REGISTERS,
     WITHOUT_CURRENT,
     Counts,
     OperatingMode,
-    hardware_errors,
 )
 from .motor import HEALTH, STATE, Motor
 
@@ -54,8 +54,7 @@ POLL_PERIODS = {
 }
 
 
-@dataclass(frozen=True)
-class Setting:
+class Setting(NamedTuple):
     """
     Required value of a register that affects motion, before the torque comes on.
 
@@ -359,7 +358,7 @@ def torque_on(bus: Bus, motors: Collection[Motor], mode: int, watchdog: int) -> 
     for motor in motors:
         errors = bus.read(motor.identity, 'hardware_error_status')
         if errors:
-            words = ', '.join(text for _, text in hardware_errors(errors))
+            words = ', '.join(text for bit, text in HARDWARE_ERRORS.items() if errors & bit)
             raise DriverError(f'{bus.path}: {motor}: {words}; remove the cause, then reboot it')
         must_write(bus, motor, 'torque_enable', 0)
         settle(bus, motor, mode)
@@ -461,7 +460,6 @@ def recover_watchdog(bus: Bus, motor: Motor, mode: int, watchdog: int, tripped: 
     motor.tripped = False
 
 
-@dataclass
 class Watch:
     """
     Polls of registers beside the state, one kind per cycle, whichever is most overdue.
@@ -471,12 +469,13 @@ class Watch:
     another read may look like it.
     """
 
-    bus: Bus
-    mode: int  # operating mode, address 11
-    watchdog: int = 0  # address 98
-    due: dict[str, float] = field(default_factory=dict)
-    tripped: list[Motor] = field(default_factory=list)  # whose watchdog had tripped at this poll
-    _reported: float = -math.inf
+    def __init__(self, bus: Bus, mode: int) -> None:
+        """Take the operating mode, address 11."""
+        self.bus, self.mode = bus, mode
+        self.watchdog = 0  # address 98
+        self.due: dict[str, float] = {}
+        self.tripped: list[Motor] = []  # whose watchdog had tripped at this poll
+        self._reported = -math.inf
 
     def poll(self, motors: list[Motor], now: float) -> None:
         """Do the most overdue poll, if any, for the servos that answer."""

@@ -11,12 +11,10 @@ import datetime
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...common.arrays import Floats, Ints
 from ...common.errors import InputError
 from ...common.yaml_reading import ConfigFields
 from ...robot import Robot
@@ -54,8 +52,7 @@ class Cell:
         return math.hypot(fixed, self.slope_error / self.newtons_per_count * tension)
 
 
-@dataclass(frozen=True)
-class CountsPoint:
+class CountsPoint(NamedTuple):
     """Counts with one weight: tension [N], mean and standard deviation [counts]."""
 
     tension: float
@@ -73,15 +70,14 @@ def fit_counts(points: Sequence[CountsPoint]) -> Cell:
         Too few different weights, or counts that do not change with the weight.
 
     """
-    tensions = np.array([point.tension for point in points])
-    counts = np.array([point.mean for point in points])
+    tensions, counts, spreads = np.array(points).T
     different = len(np.unique(tensions))
     if different < hardware.WEIGHTS_MIN:
         raise InputError(
             f'calibration: expected at least {hardware.WEIGHTS_MIN - 1} different weights besides '
             f'none, got {different - 1}'
         )
-    noise = math.sqrt(float(np.mean([point.spread**2 for point in points])))
+    noise = math.sqrt(float(np.mean(spreads**2)))
     line = hardware.fit_line(tensions, counts, noise)
     if abs(line.slope) * float(np.ptp(tensions)) < 5.0 * line.scatter or line.slope == 0.0:
         raise InputError(
@@ -208,16 +204,6 @@ class BoardConfig(hardware.PortConfig):
     def period(self) -> float:
         """Time between two telemetries [s]."""
         return 1.0 / self.telemetry_rate
-
-    @cached_property
-    def places(self) -> Ints:
-        """Channel (m,) of every input."""
-        return np.array([tendon.channel for tendon in self.tendons])
-
-    @cached_property
-    def counted(self) -> Floats:
-        """Metres (m,) that the board counts per metre of wire, of every input."""
-        return np.array([tendon.counted for tendon in self.tendons])
 
 
 FIELDS = (field.name for field in fields(BoardConfig) if field.name != 'source')

@@ -18,7 +18,7 @@ from ...common.arrays import Bools, Floats
 from ...common.errors import DriverError, MovedError
 from ...robot import Robot
 from ..hardware import STANDING_S
-from ..interface import CYCLE_S, Fault, travelled
+from ..interface import CYCLE_S, Fault, latched, travelled
 from ..safety import CYCLE_MAX_S
 from ..serial_port import ANSWER_TIMEOUT_S, PortDriver, PortLostError
 from . import messages
@@ -51,6 +51,9 @@ class SerialDriver(PortDriver):
         super().__init__(robot, mode, config, config.tendons)
         self.link = BoardLink(config.port, config.baudrate)
         self.released_after = config.command_timeout
+        # (m,) each: channel of every input; metres that the board counts per metre of its wire
+        self._places = np.array([tendon.channel for tendon in config.tendons])
+        self._counted = np.array([tendon.counted for tendon in config.tendons])
         self.telemetry: Telemetry | None = None
         self.zero = np.full(len(self.inputs), np.nan)  # [m] on the board where pull is 0
         # (m,) each: the driver has switched the torque on; the board has switched it off
@@ -72,8 +75,8 @@ class SerialDriver(PortDriver):
 
     def _check_motors(self) -> None:
         self.read_fresh()
-        if latched := self._latched_faults():
-            raise DriverError('; '.join(fault.message for fault in latched))
+        if faults := self._latched_faults():
+            raise DriverError('; '.join(fault.message for fault in faults))
 
     def _slack_unknown(self) -> bool:
         return not bool(np.isfinite(self.zero).all())
@@ -108,8 +111,8 @@ class SerialDriver(PortDriver):
             self.read_fresh()
         except PortLostError as error:
             raise DriverError(f'{error}: lost while clearing faults') from None
-        latched = self._latched_faults()
-        remaining = [f.message for f in latched if not inputs or f.inputs[0] in inputs]
+        faults = self._latched_faults()
+        remaining = [f.message for f in faults if not inputs or f.inputs[0] in inputs]
         if remaining:
             raise DriverError('; '.join(remaining))
 
@@ -120,7 +123,7 @@ class SerialDriver(PortDriver):
             'port': config.port,
             'baud_rate (1/s)': str(config.baudrate),
             'frames_missed': str(self.link.missed),
-            'frames_bad': str(self.link.bad),
+            'frames_bad': str(self.link.receiver.bad),
             'silence_until_release (s)': f'{config.command_timeout:g}',
             'release_to': config.release_to,
         }
@@ -147,10 +150,10 @@ class SerialDriver(PortDriver):
 
     def command(self, mode: str, goal: Floats) -> None:
         """Send one command, shape (m,) [N] or [m], to all channels in one frame."""
-        values, config = np.zeros(self.link.channels), self.config
+        values = np.zeros(self.link.channels)
         if mode == 'pull':
-            goal = config.counted * (goal + np.nan_to_num(self.zero))
-        values[config.places] = goal
+            goal = self._counted * (goal + np.nan_to_num(self.zero))
+        values[self._places] = goal
         self.link.send(Message.COMMAND, messages.command(mode, values))
 
     def _reopened(self) -> None:
@@ -179,14 +182,13 @@ class SerialDriver(PortDriver):
         """Return a value of the telemetry, shape (m,); nan where a channel has the fault."""
         if self.telemetry is None:
             return np.full(len(self.inputs), np.nan)
-        places = self.config.places
-        values: Floats = np.array(getattr(self.telemetry, name)[places], dtype=float)
-        values[self.telemetry.faults[places] & fault != 0] = np.nan
+        values: Floats = np.array(getattr(self.telemetry, name)[self._places], dtype=float)
+        values[self.telemetry.faults[self._places] & fault != 0] = np.nan
         return values
 
     def _mask(self, which: Bools) -> bytes:
         """Return a byte with a bit for the channel of each input that is chosen, shape (m,)."""
-        return bytes((int(np.bitwise_or.reduce(1 << self.config.places[which], initial=0)),))
+        return bytes((int(np.bitwise_or.reduce(1 << self._places[which], initial=0)),))
 
     def _faults(self) -> tuple[Fault, ...]:
         """Return the present faults."""
@@ -207,19 +209,11 @@ class SerialDriver(PortDriver):
         """Return the faults that the board has latched."""
         if self.telemetry is None:
             return []
-        advice = 'torque is off; remove the cause, then reboot it'
-        latched = self.telemetry.faults[self.config.places]
-        return [
-            Fault(
-                str(bit.name).lower(),
-                f'{self.config.port}: {tendon}: {words}; {advice}',
-                True,
-                (tendon.name,),
-            )
-            for tendon, bits in zip(self.config.tendons, latched, strict=True)
-            for bit, words in CHANNEL_FAULTS.items()
-            if bits & bit
-        ]
+        faults: list[Fault] = []
+        for tendon in self.config.tendons:
+            where, bits = f'{self.config.port}: {tendon}', self.telemetry.faults[tendon.channel]
+            faults += latched(where, CHANNEL_FAULTS, int(bits), (tendon.name,))
+        return faults
 
     def _converse(self, now: float) -> None:
         """Take the newest telemetry; act on what the board did by itself."""
@@ -242,8 +236,8 @@ class SerialDriver(PortDriver):
             self.zero[:] = np.nan
             self.link.configure(self.config)
             newest = self._receive(ANSWER_TIMEOUT_S) or newest
-        enabled = np.array([newest.enabled >> i & 1 for i in self.config.places], dtype=bool)
-        healthy = newest.faults[self.config.places] == 0
+        enabled = np.array([newest.enabled >> i & 1 for i in self._places], dtype=bool)
+        healthy = newest.faults[self._places] == 0
         self.restarted |= self.torque_requested & ~enabled & healthy
         silent = bool(newest.flags & BoardFlag.SILENCE)
         self._tripped = silent and bool(self.torque_requested.any())
@@ -281,7 +275,7 @@ class SerialDriver(PortDriver):
         DriverError
             The board refuses before anything has moved.
         """
-        channels, travel = self.config.places.tolist(), self.config.home_travel
+        channels, travel = self._places.tolist(), self.config.home_travel
         distances, start = travelled(self.config.port), self._board_pulls()
         origin = start - np.array([distances.get(channel, 0.0) for channel in channels])
         try:
@@ -327,14 +321,14 @@ class SerialDriver(PortDriver):
             except (DriverError, PortLostError):  # on its own the board may wind to the end
                 distance = np.full(len(self.inputs), config.home_travel)
             travelled(config.port).update(
-                zip(config.places.tolist(), distance.tolist(), strict=True)
+                zip(self._places.tolist(), distance.tolist(), strict=True)
             )
             raise MovedError(f'no pull zero found: {error}') from None
         return self._board_pulls()
 
     def _board_pulls(self, fault: int = 0) -> Floats:
         """Return the wire pulls from the board's zero, (m,) [m]; nan where there is the fault."""
-        return np.asarray(self._channels('pulls', fault) / self.config.counted)
+        return np.asarray(self._channels('pulls', fault) / self._counted)
 
     def _refuse_too_far(self, which: Bools) -> None:
         """Raise DriverError for inputs (m,) whose search for slack has gone too far."""

@@ -35,6 +35,8 @@ class BoardLink(serial_port.PortLink):
     ----------
     identity : Identity or None
         Of the board, None before it was identified.
+    receiver : FrameReceiver
+        Cuts the bytes of the board into frames; counts those that are invalid.
     missed : int
         Frames of the board that were lost, by their sequence numbers.
     sent_at : float
@@ -50,7 +52,7 @@ class BoardLink(serial_port.PortLink):
         """Take the path of the port and its baud rate."""
         super().__init__(path, baud)
         self.missed, self.sent_at = 0, -1e9
-        self._receiver = FrameReceiver()
+        self.receiver = FrameReceiver()
         self._sequence = 0
         self._expected: int | None = None
         self.identity: Identity | None = None
@@ -60,14 +62,9 @@ class BoardLink(serial_port.PortLink):
         """Number of channels of the board, 0 before it was identified."""
         return 0 if self.identity is None else self.identity.channels
 
-    @property
-    def bad(self) -> int:
-        """Number of invalid frames that were discarded."""
-        return self._receiver.bad
-
     def _open(self) -> None:
         super()._open()
-        self._receiver, self._expected = FrameReceiver(self.bad), None
+        self.receiver, self._expected = FrameReceiver(self.receiver.bad), None
 
     def send(self, kind: int, payload: bytes = b'') -> int:
         """Send a message; return its sequence number."""
@@ -85,7 +82,7 @@ class BoardLink(serial_port.PortLink):
             data = os.read(port.fileno(), io.DEFAULT_BUFFER_SIZE)
             if not data:
                 raise OSError('end of file')
-        frames = self._receiver.feed(data)
+        frames = self.receiver.feed(data)
         for frame in frames:
             if frame.type >= Message.IDENTITY:
                 if self._expected is not None:
