@@ -263,7 +263,6 @@ def split_name(column: str) -> tuple[str, Unit | None]:
             return marked['name'].strip(), unit
     if tailed := TAILED.match(text):
         unit = find_unit(tailed['unit'])
-        exact = tailed['unit'] in [name for known in UNITS.values() for name in known]
-        if unit is not None and exact and unit.text not in AFTER_NAME_ONLY:
+        if unit and unit.text == tailed['unit'] and unit.text not in AFTER_NAME_ONLY:
             return tailed['name'].strip(), unit
     return text, None
