@@ -217,11 +217,10 @@ def check_robot(top: Reader) -> Robot:
     tendons = tuple(_tendon(item, sections) for item in top.items('tendons'))
     top.unique('tendons', [tendon.name for tendon in tendons])
     groups = {tendon.group for tendon in tendons if tendon.group}
+    names = groups | {tendon.name for tendon in tendons}
     for tendon in tendons:
         if tendon.name in groups:
             raise top.error('tendons', 'group names that are not tendon names', tendon.name)
-    names = groups | {tendon.name for tendon in tendons}
-    for tendon in tendons:
         if tendon.drum in names:
             raise top.error('tendons', 'drums with names of their own', tendon.drum)
     effects: dict[str, EffectValues] = {}

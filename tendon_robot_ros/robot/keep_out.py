@@ -31,8 +31,7 @@ TEXT_MAX = 20_000  # [1] characters, because it is read while the arm is command
 KINDS = 'plane', 'sphere', 'box'
 
 
-@dataclass(frozen=True)
-class Plane:
+class Plane(NamedTuple):
     """All that lies behind a plane, against its normal."""
 
     point: tuple[float, float, float]  # [m]
@@ -44,8 +43,7 @@ class Plane:
         return np.asarray((points - self.point) @ (normal / np.linalg.norm(normal)))
 
 
-@dataclass(frozen=True)
-class Sphere:
+class Sphere(NamedTuple):
     """A ball."""
 
     centre: tuple[float, float, float]  # [m]
@@ -56,8 +54,7 @@ class Sphere:
         return np.asarray(np.linalg.norm(points - self.centre, axis=-1) - self.radius)
 
 
-@dataclass(frozen=True)
-class Box:
+class Box(NamedTuple):
     """A box, turned about its centre by a rotation vector."""
 
     centre: tuple[float, float, float]  # [m]
