@@ -405,7 +405,6 @@ class Servo:
         self.put('present_current', round(motion.current / self.model.current_unit))
         self.put('present_velocity', round(motion.speed / REGISTERS['present_velocity'].unit))
         self.put('present_temperature', round(self.temperature))
-        self.put(
-            'present_input_voltage', round(self.voltage / REGISTERS['present_input_voltage'].unit)
-        )
+        volt = REGISTERS['present_input_voltage'].unit
+        self.put('present_input_voltage', round(self.voltage / volt))
         self.put('moving', int(abs(motion.speed) > 0.01))

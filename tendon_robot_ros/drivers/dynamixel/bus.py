@@ -256,12 +256,8 @@ class Bus(serial_port.PortLink):
         if name in GOALS:
             raise ValueError('goals are written by send_goals, which keeps them within bounds')
         register = REGISTERS[name]
-        data = list(encode(register, value))
-        result, error = self._talk(
-            lambda port: self._packets.writeTxRx(
-                port, identity, register.address, register.size, data
-            )
-        )
+        where, data = (identity, register.address, register.size), list(encode(register, value))
+        result, error = self._talk(lambda port: self._packets.writeTxRx(port, *where, data))
         if result != sdk.COMM_SUCCESS:
             self._failed()
             return 'no answer'

@@ -75,8 +75,7 @@ class SerialDriver(PortDriver):
 
     def _check_motors(self) -> None:
         self.read_fresh()
-        if faults := self._latched_faults():
-            raise DriverError('; '.join(fault.message for fault in faults))
+        self._refuse_latched()
 
     def _slack_unknown(self) -> bool:
         return not bool(np.isfinite(self.zero).all())
@@ -111,10 +110,7 @@ class SerialDriver(PortDriver):
             self.read_fresh()
         except PortLostError as error:
             raise DriverError(f'{error}: lost while clearing faults') from None
-        faults = self._latched_faults()
-        remaining = [f.message for f in faults if not inputs or f.inputs[0] in inputs]
-        if remaining:
-            raise DriverError('; '.join(remaining))
+        self._refuse_latched(inputs)
 
     def describe(self) -> dict[str, str]:
         """Return facts about board and link."""
@@ -215,6 +211,13 @@ class SerialDriver(PortDriver):
             faults += latched(where, CHANNEL_FAULTS, int(bits), (tendon.name,))
         return faults
 
+    def _refuse_latched(self, inputs: Sequence[str] = ()) -> None:
+        """Raise DriverError with the faults that the board has latched, for some inputs or all."""
+        faults = self._latched_faults()
+        remaining = [f.message for f in faults if not inputs or f.inputs[0] in inputs]
+        if remaining:
+            raise DriverError('; '.join(remaining))
+
     def _converse(self, now: float) -> None:
         """Take the newest telemetry; act on what the board did by itself."""
         if now - self.link.sent_at > ANSWER_TIMEOUT_S:
@@ -301,8 +304,7 @@ class SerialDriver(PortDriver):
                 off_target = ~(np.abs(self.measured_tensions() - goal) < TENSION_TOLERANCE * goal)
                 if off_target.any():
                     steady = time.monotonic()
-                if faults := self._latched_faults():
-                    raise DriverError('; '.join(fault.message for fault in faults))
+                self._refuse_latched()
                 reach = config.home_travel - TRAVEL_TOLERANCE_M
                 self._refuse_too_far(off_target & (np.abs(self._board_pulls() - origin) > reach))
                 if time.monotonic() > deadline:
