@@ -88,8 +88,7 @@ class HardwareDriver(Driver):
         return approach(self._goal, goal, rates * min(passed, 2.0 * CYCLE_MAX_S))
 
 
-@dataclass(frozen=True)
-class Spool:
+class Spool(NamedTuple):
     """A spool: radius [m], direction of turning that winds (+1 or -1), ticks of the encoder."""
 
     radius: float

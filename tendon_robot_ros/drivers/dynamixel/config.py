@@ -40,8 +40,7 @@ class CurrentLine(hardware.LineFit):
         return max(0.0, (current - self.intercept) / self.slope)
 
 
-@dataclass(frozen=True)
-class Calibration:
+class Calibration(NamedTuple):
     """
     Current over tension: one line for winding and one for paying out.
 

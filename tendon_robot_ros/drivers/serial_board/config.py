@@ -22,8 +22,7 @@ from .. import hardware
 from .messages import RELEASES, Protocol
 
 
-@dataclass(frozen=True)
-class Cell:
+class Cell(NamedTuple):
     """
     Calibration of a load cell: tension = (counts - zero) * newtons_per_count.
 
