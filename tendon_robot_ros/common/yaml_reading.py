@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import yaml
 
@@ -73,8 +73,6 @@ def read_yaml(path: Path, refuse: Callable[[str], TendonRobotError]) -> Any:
 class Reader:
     """A mapping of a description file, with the path of keys that leads to it."""
 
-    refusal: ClassVar[type[TendonRobotError] | None] = None  # of files that are no description
-
     def __init__(self, source: str, path: str, content: Any) -> None:
         """Refuse what is no mapping."""
         self.source, self.path = source, path
@@ -86,10 +84,7 @@ class Reader:
 
     def error(self, key: str, expected: str, got: object) -> TendonRobotError:
         """Build the error for a key of this mapping; other files have another class for it."""
-        where = self._where(key)
-        if self.refusal is None:
-            return RobotDescriptionError(self.source, where, expected, got)
-        return self.refusal(f'{self.source}: {where}: expected {expected}, got {short(got)}')
+        return RobotDescriptionError(self.source, self._where(key), expected, got)
 
     def has(self, key: str) -> bool:
         """Return whether a key is present and not empty."""
@@ -236,7 +231,10 @@ class Reader:
 class ConfigFields(Reader):
     """Checked reading of the configuration."""
 
-    refusal = DriverError
+    def error(self, key: str, expected: str, got: object) -> DriverError:
+        """Build the error for a key."""
+        where = self._where(key)
+        return DriverError(f'{self.source}: {where}: expected {expected}, got {short(got)}')
 
     def value(self, key: str, default: float, low: float, high: float, unit: str) -> float:
         """Return a number, or the default when absent."""
