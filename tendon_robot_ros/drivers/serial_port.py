@@ -48,6 +48,15 @@ class PortLostError(Exception):
     """The port is gone; `reopen` may bring it back."""
 
 
+@contextlib.contextmanager
+def lost_while(doing: str) -> Iterator[None]:
+    """Raise DriverError where the port is lost in the block: what was being done has failed."""
+    try:
+        yield
+    except PortLostError as error:
+        raise DriverError(f'{error}: lost while {doing}') from None
+
+
 def write_all(file: int, data: bytes) -> None:
     """
     Write to a port that does not block.

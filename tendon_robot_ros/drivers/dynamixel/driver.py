@@ -13,7 +13,7 @@ from ...common.arrays import Floats
 from ...common.errors import DriverError
 from ...robot import Robot
 from ..interface import Fault
-from ..serial_port import HICCUPS_MAX, RESTART_TIMEOUT_S, PortDriver, PortLostError
+from ..serial_port import HICCUPS_MAX, RESTART_TIMEOUT_S, PortDriver, PortLostError, lost_while
 from . import servos
 from .bus import Bus, check_latency
 from .config import DynamixelConfig, read_config
@@ -95,7 +95,7 @@ class DynamixelDriver(PortDriver):
         """Restart motors after a hardware error; their torque is off and their turns unknown."""
         self._require_open('reboot')
         chosen = self._motors_of(inputs)
-        try:
+        with lost_while('rebooting'):
             servos.torque_off(self.link, chosen)
             for motor in chosen:
                 self.link.reboot(motor.identity)
@@ -108,8 +108,6 @@ class DynamixelDriver(PortDriver):
                 motor.errors = self.link.read(motor.identity, 'hardware_error_status') or 0
             servos.read_state(self.link, chosen)
             self._zero_in_place()
-        except PortLostError as error:
-            raise DriverError(f'{error}: lost while rebooting') from None
         if waiting:
             raise DriverError(
                 f'{self.config.port}: no answer after the reboot: {", ".join(map(str, waiting))}'

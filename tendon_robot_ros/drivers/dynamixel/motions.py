@@ -22,7 +22,7 @@ from ...common.errors import DriverError, MovedError
 from ...common.processes import ends_between
 from ..hardware import READINGS_MIN, STANDING_S
 from ..interface import CYCLE_S, travelled
-from ..serial_port import HICCUPS_MAX, PortLostError
+from ..serial_port import HICCUPS_MAX, PortLostError, lost_while
 from . import servos
 from .bus import Bus
 from .config import CurrentPoint, DynamixelConfig
@@ -284,15 +284,13 @@ def wind_weight(
     slack = abs(end - start) // 4
     motor.guided = (motor.strongest, (min(start, end) - slack, max(start, end) + slack))
     try:
-        with ends_between() as check:
+        with lost_while('calibrating; the bus watchdog stops it'), ends_between() as check:
             try:
                 servos.torque_on(bus, [motor], MODE, WATCHDOG_COUNTS)
                 up = turn_steadily(bus, motor, end, travel / speed, check)
                 down = turn_steadily(bus, motor, start, travel / speed, check)
             finally:
                 servos.torque_off(bus, [motor])
-    except PortLostError as error:
-        raise DriverError(f'{error}: lost while calibrating; the bus watchdog stops it') from None
     finally:
         motor.guided = None
     return CurrentPoint(tension, up, down)

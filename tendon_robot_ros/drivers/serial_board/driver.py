@@ -20,7 +20,7 @@ from ...robot import Robot
 from ..hardware import STANDING_S
 from ..interface import CYCLE_S, Fault, latched, travelled
 from ..safety import CYCLE_MAX_S
-from ..serial_port import ANSWER_TIMEOUT_S, PortDriver, PortLostError
+from ..serial_port import ANSWER_TIMEOUT_S, PortDriver, PortLostError, lost_while
 from . import messages
 from .config import BoardConfig, read_config
 from .link import BoardLink
@@ -105,11 +105,9 @@ class SerialDriver(PortDriver):
         self._require_open('reboot')
         chosen = self._chosen(inputs)
         self.disable(inputs)
-        try:
+        with lost_while('clearing faults'):
             self.link.ask(Message.CLEAR, self._mask(chosen))
             self.read_fresh()
-        except PortLostError as error:
-            raise DriverError(f'{error}: lost while clearing faults') from None
         self._refuse_latched(inputs)
 
     def describe(self) -> dict[str, str]:

@@ -19,7 +19,7 @@ from ...common.errors import DriverError
 from .. import serial_port
 from ..hardware import READINGS_MIN, STANDING_S
 from ..interface import CYCLE_S
-from ..serial_port import ANSWER_TIMEOUT_S, RESTART_TIMEOUT_S, PortLostError
+from ..serial_port import ANSWER_TIMEOUT_S, RESTART_TIMEOUT_S
 from . import messages
 from .config import BoardConfig, CountsPoint
 from .messages import Frame, FrameReceiver, Identity, Message, Protocol, Telemetry, encode
@@ -237,7 +237,7 @@ class BoardLink(serial_port.PortLink):
         """
         counts: list[float] = []
         began = time.monotonic()
-        try:
+        with serial_port.lost_while('calibrating'):
             while (passed := time.monotonic() - began) < STANDING_S + seconds:
                 self.send(Message.RAW)
                 for frame in self.wait_for(Message.RAW_CELLS, ANSWER_TIMEOUT_S):
@@ -245,8 +245,6 @@ class BoardLink(serial_port.PortLink):
                     if cells is not None and passed > STANDING_S:
                         counts.append(float(cells[channel]))
                 time.sleep(CYCLE_S)
-        except PortLostError as error:
-            raise DriverError(f'{error}: lost while calibrating') from None
         where, values = f'{self.path}: channel {channel}', np.array(counts)
         values = values[np.diff(values, prepend=np.nan) != 0.0]  # the same value, read twice
         if len(values) < READINGS_MIN:
