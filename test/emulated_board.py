@@ -35,8 +35,8 @@ def config(line, /, **changes):
     }
     plain = {
         'port': line.port,
-        'spool_radius': line.rig.motor.spool_radius,
-        'ticks_per_turn': line.rig.motor.ticks_per_turn,
+        'spool_radius': line.rig.motor.spool.radius,
+        'ticks_per_turn': line.rig.motor.spool.ticks_per_turn,
         'pull_limits': [-0.01, 0.03],
         'tension_rate': 20.0,
         'pull_rate': 0.08,

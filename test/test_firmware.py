@@ -86,7 +86,7 @@ class Board:
 
     def configure(self, release_to='pretension'):
         for i, cell in enumerate(self.rig.cells):
-            scales = (cell.zero, cell.newtons_per_count, self.rig.motor.metres_per_tick)
+            scales = (cell.zero, cell.newtons_per_count, self.rig.motor.spool.metres_per_tick)
             assert self.say(Message.CALIBRATION, messages.calibration(i, *scales)) == 0
             values = np.array([0.0, 5.0, -0.02, 0.03, 20.0, 0.05])
             assert self.say(Message.LIMITS, messages.limits(i, values)) == 0

@@ -47,7 +47,8 @@ class Clock:
 
 def mock(mode='tension', **config):
     clock = Clock()
-    driver = MockDriver(ROBOT, Spring(), MockConfig(**config), mode, clock)
+    driver = MockDriver(ROBOT, Spring(), MockConfig(**config), mode)
+    driver.clock = clock
     driver.open()
     driver.enable()
     return driver, clock

@@ -11,6 +11,7 @@ from emulated import arrive, codes, healthy, until
 from emulated_board import needs_compiler
 
 from tendon_robot_ros.common.errors import DriverError
+from tendon_robot_ros.drivers.hardware import Spool
 from tendon_robot_ros.emulator.board import Gearmotor
 
 pytest.importorskip('serial')
@@ -76,7 +77,7 @@ def test_a_few_broken_frames_change_nothing(arm, what):
     for reading in emulated.cycle(driver, command, 0.2):
         assert not reading.faults
         np.testing.assert_allclose(reading.tensions, before.tensions, atol=0.2)
-    assert what == 'doubled' or driver.link.bad + driver.link.missed > 0
+    assert what == 'doubled' or driver.link.receiver.bad + driver.link.missed > 0
 
 
 @pytest.mark.slow
@@ -205,7 +206,8 @@ def test_a_board_that_lost_its_power_counts_pulls_from_where_the_wires_are():
 
 def test_pulls_are_right_where_a_tick_is_no_whole_number_of_nanometres():
     with emulated_board.board(stiffness=0.0) as line:
-        line.rig.motor = Gearmotor(ticks_per_turn=625_000)  # 100.53 nm, the board counts 101
+        # a tick is 100.53 nm, the board counts 101
+        line.rig.motor = Gearmotor(spool=Spool(0.01, 1, ticks_per_turn=625_000))
         driver, _ = emulated_board.running(line, 'pull', zero='here')
         goal = np.array([0.02, 0.01, 0.0, 0.02])
         until(driver, goal, lambda r: np.allclose(r.pulls, goal, atol=2e-5))

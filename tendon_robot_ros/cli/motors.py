@@ -196,7 +196,7 @@ def check_tendons(args: argparse.Namespace) -> int:
 def _content(path: str) -> dict[str, Any]:
     """Read a YAML file of keys with values."""
 
-    def refuse(reason: object) -> InputError:
+    def refuse(reason: str) -> InputError:
         return InputError(f'{path}: expected keys with values (YAML), got {reason}')
 
     content = read_yaml(Path(path), refuse)
@@ -335,7 +335,7 @@ def calibrate_cell(args: argparse.Namespace) -> int:
     heaviest = max(point.tension for point in points)
     text = (
         f'{tendon}: tension = (counts - {cell.zero:.0f}) * {cell.newtons_per_count:.5g} N\n'
-        f'uncertainty: {cell.uncertainty(np.array(heaviest)):.2g} N (1 sd) at {heaviest:.3g} N'
+        f'uncertainty: {cell.uncertainty(heaviest):.2g} N (1 sd) at {heaviest:.3g} N'
     )
     line = cell_mapping(cell, points)
     _write(Path(args.output), args.tendon, line, CELL_UNITS)

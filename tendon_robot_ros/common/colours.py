@@ -7,7 +7,7 @@ of words by 4.5 : 1 (WCAG 2.2; test_common.py computes it).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 MEASURED, PREDICTED, ERROR = '#d55e00', '#0072b2', '#5f6974'  # on every page, picture and in RViz
 BEFORE, HELD_OUT = MEASURED, MEASURED  # errors: of the model as described, of left-out postures
@@ -29,8 +29,7 @@ _BELOW_TO_ABOVE = ('#0b5394', '#6fa8dc', '#ffffff', '#f0a75a', ORANGE)
 DIVERGING = [[i / (len(_BELOW_TO_ABOVE) - 1), c] for i, c in enumerate(_BELOW_TO_ABOVE)]
 
 
-@dataclass(frozen=True)
-class LineStyle:
+class LineStyle(NamedTuple):
     """How one model is drawn everywhere."""
 
     colour: str

@@ -15,10 +15,9 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-_SHORT = reprlib.Repr()  # a file may hold a value of any size; a message may not
-_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 120
-_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = 8
-_SHORT.maxlevel = 3
+_SHORT = reprlib.Repr(  # a file may hold a value of any size; a message may not
+    maxstring=120, maxother=120, maxlong=120, maxlist=8, maxtuple=8, maxdict=8, maxlevel=3
+)
 
 
 def short(value: object) -> str:

@@ -9,7 +9,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
@@ -195,17 +195,14 @@ def shared_file(name: str) -> Path | None:
 def cache_folder() -> Path:
     """Folder for compiled code: NUMBA_CACHE_DIR, XDG_CACHE_HOME, home, else temporary."""
     home = os.path.expanduser('~')
-    own = os.environ.get('XDG_CACHE_HOME') or (home != '~' and os.path.join(home, '.cache'))
-    for candidate in (os.environ.get('NUMBA_CACHE_DIR'), own and os.path.join(own, PACKAGE)):
-        if not candidate:
-            continue
-        try:
+    own = os.environ.get('XDG_CACHE_HOME') or ('' if home == '~' else os.path.join(home, '.cache'))
+    folders = os.environ.get('NUMBA_CACHE_DIR'), own and os.path.join(own, PACKAGE)
+    for candidate in filter(None, folders):
+        with suppress(OSError):
             path = Path(candidate).resolve()
             path.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=path):
                 return path
-        except OSError:
-            continue
     warnings.warn(
         'no writable cache folder: the model is compiled anew by every process; '
         'set NUMBA_CACHE_DIR to a writable folder',

@@ -17,8 +17,8 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from .words import NAME_LENGTH_MAX
 
@@ -33,8 +33,7 @@ SILENCE_S = 1.0
 _number = itertools.count()
 
 
-@dataclass(frozen=True)
-class Stoppable:
+class Stoppable(NamedTuple):
     """Who can be stopped so: a node with its namespace, and whether it drives motors."""
 
     node: str

@@ -69,8 +69,7 @@ def towards(direction: Floats) -> Floats:
 def rotation_between(direction: Floats, other: Floats) -> Floats:
     """Return a rotation (3, 3) that maps the direction of one vector (3,) to that of another."""
     one, two = (towards(v / np.linalg.norm(v)) for v in (direction, other))
-    rotation: Floats = two @ one.T
-    return rotation
+    return np.asarray(two @ one.T)
 
 
 def angle_between(direction: Floats, other: Floats) -> Floats:
@@ -98,8 +97,7 @@ def from_quaternion(quaternion: Sequence[float] | Floats) -> Floats:
     *axis, w = quaternion
     v = np.array(axis)
     cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-    rotation: Floats = np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
-    return rotation
+    return np.asarray(np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross)
 
 
 def rigid_fit(

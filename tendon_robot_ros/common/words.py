@@ -9,10 +9,7 @@ from dataclasses import dataclass
 
 from .errors import InputError
 
-TIMES_WORDS = (
-    *('no', 'one', 'two', 'three', 'four', 'five', 'six', 'seven', 'eight', 'nine', 'ten'),
-    *('eleven', 'twelve'),
-)
+TIMES_WORDS = ('three', 'four', 'five', 'six', 'seven', 'eight', 'nine', 'ten', 'eleven', 'twelve')
 # [1] prefixes of SI (brochure of 2019) in which a person reads lengths and forces
 UNIT_PREFIXES = {'M': 1e6, 'k': 1e3, '': 1.0, 'm': 1e-3, 'µ': 1e-6, 'n': 1e-9}
 COMPILING = 'compiling the model, once; half a minute'
@@ -73,8 +70,8 @@ def spoken(key: str) -> str:
 
 def times(ratio: float) -> str:
     """Show a ratio: 'six times', '2.4 times'."""
-    if ratio >= 2.75 and round(ratio) < len(TIMES_WORDS):
-        return f'{TIMES_WORDS[round(ratio)]} times'
+    if ratio >= 2.75 and round(ratio) < 3 + len(TIMES_WORDS):
+        return f'{TIMES_WORDS[round(ratio) - 3]} times'
     return f'{digits(ratio, 2)} times'
 
 
@@ -266,7 +263,6 @@ def split_name(column: str) -> tuple[str, Unit | None]:
             return marked['name'].strip(), unit
     if tailed := TAILED.match(text):
         unit = find_unit(tailed['unit'])
-        exact = tailed['unit'] in [name for known in UNITS.values() for name in known]
-        if unit is not None and exact and unit.text not in AFTER_NAME_ONLY:
+        if unit and unit.text == tailed['unit'] and unit.text not in AFTER_NAME_ONLY:
             return tailed['name'].strip(), unit
     return text, None

@@ -109,7 +109,7 @@ class Workers(contextlib.AbstractContextManager['Workers']):
                 if time.monotonic() > until:
                     return
         else:
-            yield from self._spread(self.engine, work, enumerate(chunks), until)
+            yield from self._spread(self.engine, work, chunks, until)
 
     def in_chunks[T](self, work: Work, items: Sequence[T]) -> Iterator[tuple[tuple[T, ...], Any]]:
         """
@@ -143,12 +143,9 @@ class Workers(contextlib.AbstractContextManager['Workers']):
             yield handed[index], result
 
     def _spread(
-        self,
-        engine: _Processes | _Cluster,
-        work: Work,
-        coming: Iterator[tuple[int, Any]],
-        until: float,
+        self, engine: _Processes | _Cluster, work: Work, chunks: Iterable[Any], until: float
     ) -> Iterator[tuple[int, Any]]:
+        coming = enumerate(chunks)
         waiting: dict[Future[Any], tuple[int, Any]] = {}
         retries: deque[tuple[int, Any]] = deque()
         losses: dict[int, int] = {}

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import yaml
 
@@ -44,15 +44,11 @@ class _Explaining(_Counting, yaml.SafeLoader):
     """The loader in pure Python, whose errors name the position more exactly."""
 
 
-def parse_yaml(text: str) -> Any:
+def parse_yaml(text: str, refuse: Callable[[str], Exception] = ValueError) -> Any:
     """
     Read YAML text into plain values; nothing in it is ever executed.
 
-    Raises
-    ------
-    ValueError
-        With the reason on one line.
-
+    Where that fails, what `refuse` makes of the reason, on one line, is raised.
     """
     try:
         return yaml.load(text, Loader=_Plain)
@@ -64,9 +60,9 @@ def parse_yaml(text: str) -> Any:
             except yaml.MarkedYAMLError as explained:
                 error = explained
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise ValueError(f'line {line}: {error.problem}') from None
+        raise refuse(f'line {line}: {error.problem}') from None
     except (yaml.YAMLError, ValueError) as error:  # a date such as 2000-99-99 is a ValueError
-        raise ValueError(' '.join(str(error).split())) from None
+        raise refuse(' '.join(str(error).split())) from None
 
 
 def dump_yaml(content: Any) -> str:
@@ -75,19 +71,13 @@ def dump_yaml(content: Any) -> str:
     return str(yaml.safe_dump(content, **options))
 
 
-def read_yaml(path: Path, refuse: Callable[[object], TendonRobotError]) -> Any:
+def read_yaml(path: Path, refuse: Callable[[str], TendonRobotError]) -> Any:
     """Read a YAML file into plain values; `refuse` makes the error from a reason."""
-    text = read_text(path, refuse)
-    try:
-        return parse_yaml(text)
-    except ValueError as error:
-        raise refuse(error) from None
+    return parse_yaml(read_text(path, refuse), refuse)
 
 
 class Reader:
     """A mapping of a description file, with the path of keys that leads to it."""
-
-    refusal: ClassVar[type[TendonRobotError] | None] = None  # of files that are no description
 
     def __init__(self, source: str, path: str, content: Any) -> None:
         """Refuse what is no mapping."""
@@ -100,10 +90,7 @@ class Reader:
 
     def error(self, key: str, expected: str, got: object) -> TendonRobotError:
         """Build the error for a key of this mapping; other files have another class for it."""
-        where = self._where(key)
-        if self.refusal is None:
-            return RobotDescriptionError(self.source, where, expected, got)
-        return self.refusal(f'{self.source}: {where}: expected {expected}, got {short(got)}')
+        return RobotDescriptionError(self.source, self._where(key), expected, got)
 
     def has(self, key: str) -> bool:
         """Return whether a key is present and not empty."""
@@ -118,10 +105,6 @@ class Reader:
     def child(self, key: str) -> Self:
         """Open the mapping below a key, empty when absent."""
         return type(self)(self.source, self._where(key), self.content.get(key))
-
-    def mapping(self, key: str) -> dict[str, Any]:
-        """Return the mapping below a key, empty when absent."""
-        return self.child(key).content
 
     def items(self, key: str) -> Iterator[Self]:
         """Open each entry of a list."""
@@ -254,15 +237,11 @@ class Reader:
 class ConfigFields(Reader):
     """Checked reading of the configuration."""
 
-    refusal = DriverError
+    def error(self, key: str, expected: str, got: object) -> DriverError:
+        """Build the error for a key."""
+        where = self._where(key)
+        return DriverError(f'{self.source}: {where}: expected {expected}, got {short(got)}')
 
     def value(self, key: str, default: float, low: float, high: float, unit: str) -> float:
         """Return a number, or the default when absent."""
         return self.number(key, low, high, unit) if self.has(key) else default
-
-    def port(self) -> str:
-        """Return the path of the serial port."""
-        value = self.content.get('port')
-        if not isinstance(value, str) or not value:
-            raise self.error('port', 'the path of a serial port, such as /dev/ttyUSB0', value)
-        return value

@@ -33,11 +33,11 @@ class DatasetFields(Reader):
     @classmethod
     def parse(cls, text: str, source: str) -> Self:
         """Read YAML text; DataSetError where it is none."""
-        try:
-            return cls(source, '', parse_yaml(text))
-        except ValueError as error:
-            problem = f'is no valid YAML ({error})'
-            raise DataSetError(source, problem, 'correct that line') from None
+
+        def refuse(reason: str) -> DataSetError:
+            return DataSetError(source, f'is no valid YAML ({reason})', 'correct that line')
+
+        return cls(source, '', parse_yaml(text, refuse))
 
     def error(self, key: str, expected: str, got: object) -> DataSetError:
         """Build the error for a key."""
@@ -121,7 +121,7 @@ def describe(fields: DatasetFields, robot: Robot) -> dict[str, Any]:
     noise = fields.child('tension_noise')
     noise.only('setting', 'trial')
     known: dict[str, dict[str, float]] = {}  # checked later, against the catalogue
-    for name in fields.mapping('known'):
+    for name in fields.child('known').content:
         effect = fields.child('known').child(str(name))
         if not effect.content:
             expected = 'parameters such as tip_load: {force_z: 0.98}'

@@ -88,8 +88,7 @@ class HardwareDriver(Driver):
         return approach(self._goal, goal, rates * min(passed, 2.0 * CYCLE_MAX_S))
 
 
-@dataclass(frozen=True)
-class Spool:
+class Spool(NamedTuple):
     """A spool: radius [m], direction of turning that winds (+1 or -1), ticks of the encoder."""
 
     radius: float
@@ -200,7 +199,9 @@ def read_port_config(
 
     """
     low, high = robot.tension_limits
-    port, baudrate = top.port(), top.content.get('baudrate', 1_000_000)
+    port, baudrate = top.content.get('port'), top.content.get('baudrate', 1_000_000)
+    if not isinstance(port, str) or not port:
+        raise top.error('port', 'the path of a serial port, such as /dev/ttyUSB0', port)
     if baudrate not in known:
         raise top.error('baudrate', f'one of {", ".join(map(str, known))}', baudrate)
     return {
@@ -250,7 +251,7 @@ def read_calibrations(top: ConfigFields, required: bool) -> ConfigFields:
     if not required and not file.exists():
         return ConfigFields(str(file), '', {})
 
-    def refuse(reason: object) -> TendonRobotError:
+    def refuse(reason: str) -> TendonRobotError:
         return top.error('calibration', 'a readable YAML file', f'{file}: {reason}')
 
     return ConfigFields(str(file), '', read_yaml(file, refuse))

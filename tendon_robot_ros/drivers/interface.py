@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
 from typing import Any, NamedTuple, Self
@@ -53,16 +53,13 @@ class Backend(NamedTuple):
     module: str
     driver: str
     example: str  # may name the {mode}
-    package: str = ''  # that may be missing
-    extra: str = ''  # that installs it
+    extra: str = ''  # that installs what it needs
 
 
 BACKENDS = {
     'mock': Backend('mock', 'MockDriver', 'mock'),
-    'dynamixel': Backend(
-        'dynamixel.driver', 'DynamixelDriver', 'dynamixel_{mode}', 'dynamixel_sdk', 'dynamixel'
-    ),
-    'serial': Backend('serial_board.driver', 'SerialDriver', 'serial_board', 'serial', 'serial'),
+    'dynamixel': Backend('dynamixel.driver', 'DynamixelDriver', 'dynamixel_{mode}', 'dynamixel'),
+    'serial': Backend('serial_board.driver', 'SerialDriver', 'serial_board', 'serial'),
     'ros2_control': Backend('ros2_control', 'Ros2ControlDriver', 'ros2_control'),
 }
 
@@ -90,6 +87,29 @@ class Fault:
     message: str
     hardware: bool = False
     inputs: tuple[str, ...] = ()
+
+
+def latched(
+    where: str, words: Mapping[Any, str], status: int, inputs: tuple[str, ...]
+) -> Iterator[Fault]:
+    """
+    Yield the faults that a motor has latched, by the bits of its status.
+
+    Parameters
+    ----------
+    where : str
+        Port and motor; every message begins with it.
+    words : mapping of IntFlag to str
+        What each bit means.
+    status : int
+    inputs : tuple of str
+        Those that the motor winds.
+
+    """
+    for bit, text in words.items():
+        if status & bit:
+            message = f'{where}: {text}; torque is off; remove the cause, then reboot it'
+            yield Fault(str(bit.name).lower(), message, True, inputs)
 
 
 @dataclass(frozen=True)
@@ -288,7 +308,7 @@ def make_driver(
         kind = getattr(importlib.import_module(f'.{chosen.module}', __package__), chosen.driver)
     except ModuleNotFoundError as error:
         missing = error.name or ''
-        if chosen.package and missing.split('.')[0] in (chosen.package, 'serial'):
+        if chosen.extra and missing.split('.')[0] in ('dynamixel_sdk', 'serial'):
             raise MissingExtraError(missing, chosen.extra) from None
         raise
     driver: Driver = kind.from_config(robot, config, mode=mode, source=source, **parts)

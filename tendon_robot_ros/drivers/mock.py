@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
@@ -56,27 +56,25 @@ class MockDriver(HardwareDriver):
 
     The plant is any object with `respond(tensions)` and `respond_to_pulls(pulls)`, (m,) [N] or
     [m], nan = slack. Both return a state with `inputs` (m,) [N] and `pulls` (m,) [m], as `Shape`.
+    The motors lag by the time of `clock` [s].
     """
 
+    clock = staticmethod(time.monotonic)
+
     def __init__(
-        self,
-        robot: Robot,
-        plant: Any,
-        config: MockConfig | None = None,
-        mode: str = 'tension',
-        clock: Callable[[], float] = time.monotonic,
+        self, robot: Robot, plant: Any, config: MockConfig | None = None, mode: str = 'tension'
     ) -> None:
         """Take the plant; it starts straight and slack."""
         m = len(robot.inputs)
         pull_max = 2.0 * math.pi * max(max(map(abs, (*t.base, *t.end))) for t in robot.tendons)
         limits = robot.tension_limits if mode == 'tension' else (-pull_max, pull_max)
         super().__init__(robot, mode, 'MockDriver', np.tile(limits, (m, 1)), np.full(m, np.inf))
-        self.config, self.plant, self._clock = config or MockConfig(), plant, clock
+        self.config, self.plant = config or MockConfig(), plant
         self._random = np.random.default_rng(self.config.seed)
         self._on, self._actual = np.zeros(m, dtype=bool), np.zeros(m)
-        self._updated = clock()
+        self._updated = self.clock()
         self._injected: dict[str, Fault] = {}
-        self._state: Any = None
+        self.truth: Any = None  # the arm as it is, for a mock tracker and for tests, once it moved
         self._given: Floats | None = None  # what the plant last responded to
         self._problem = ''
 
@@ -87,17 +85,12 @@ class MockDriver(HardwareDriver):
         """Make the driver from its configuration."""
         return cls(robot, plant, MockConfig.checked(config, source), mode)
 
-    @property
-    def truth(self) -> Any:
-        """The arm as it is, for a mock tracker and for tests; None before it was moved."""
-        return self._state
-
     def open(self) -> None:
         """Read the plant once."""
         if 'port' in self._injected:
             raise DriverError(self._injected['port'].message)
         self._is_open = True
-        self._updated = self._clock()
+        self._updated = self.clock()
         self._advance()
 
     def close(self) -> None:
@@ -110,8 +103,8 @@ class MockDriver(HardwareDriver):
         if hard := [fault.message for fault in self._injected.values() if fault.hardware]:
             raise DriverError('enable: ' + '; '.join(hard))
         self._advance()
-        if self.mode == 'pull' and self._state is not None:
-            self._actual = np.where(self._on, self._actual, self._state.pulls)
+        if self.mode == 'pull' and self.truth is not None:
+            self._actual = np.where(self._on, self._actual, self.truth.pulls)
         self._goal = self._actual.copy()
         self._on[:] = True
 
@@ -132,7 +125,7 @@ class MockDriver(HardwareDriver):
         """Return the plant's state with noise."""
         self._require_open('read')
         self._advance()
-        state, lost = self._state, self._lost()
+        state, lost = self.truth, self._lost()
         pulls, tensions = np.zeros((2, len(self.inputs)))
         if state is not None:
             pulls = np.array(state.pulls) + self._noise(self.config.pull_noise)
@@ -189,7 +182,7 @@ class MockDriver(HardwareDriver):
 
     def _advance(self) -> None:
         """Let the motors follow their command since the last call, and the arm the motors."""
-        now = self._clock()
+        now = self.clock()
         passed, self._updated = max(now - self._updated, 0.0), now
         part = 1.0 if self.config.lag <= 0.0 else -math.expm1(-passed / self.config.lag)
         goal = np.where(self._on, self._goal, 0.0)
@@ -203,6 +196,6 @@ class MockDriver(HardwareDriver):
         self._given = inputs
         respond = self.plant.respond if self.mode == 'tension' else self.plant.respond_to_pulls
         try:
-            self._state, self._problem = respond(inputs), ''
+            self.truth, self._problem = respond(inputs), ''
         except TendonRobotError as error:  # the arm stays where it is, the reading says why
             self._problem = f'mock arm: {error}'

@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import compress
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -25,8 +25,7 @@ from .interface import Fault, Reading
 PULL_DEFAULT_M = 0.05  # [m] either way without `pull_limits`, else nothing would bound a pull
 
 
-@dataclass(frozen=True)
-class Joint:
+class Joint(NamedTuple):
     """The joint of one input, by the keys of the file."""
 
     joint: str
@@ -56,7 +55,7 @@ class Ros2ControlConfig:
         top.only(*(field.name for field in fields(cls)), 'spool_radius')
         tendons = []
         for item in hardware.fields_of_inputs(top, 'tendons', 'a joint', robot).values():
-            item.only(*(field.name for field in fields(Joint)))
+            item.only(*Joint._fields)
             rolled = hardware.nearest(item, top, 'spool_radius').has('spool_radius')
             tendons.append(
                 Joint(
@@ -112,11 +111,9 @@ class Ros2ControlDriver(hardware.HardwareDriver):
         limits, rates = np.tile([low, high], (m, 1)), np.full(m, rate)
         super().__init__(robot, mode, config.command_topic, limits, rates)
         self.config, self.link = config, link
-        self._names = [tendon.joint for tendon in config.tendons]
+        self._names, *numbers = zip(*config.tendons, strict=True)
         self._order = [self._names.index(joint) for joint in config.joints]
-        self._radii, self._directions, self._zeros = np.array(
-            [(tendon.spool_radius, tendon.direction, tendon.zero) for tendon in config.tendons]
-        ).T
+        self._radii, self._directions, self._zeros = np.array(numbers, dtype=float)
         self._on = np.zeros(m, dtype=bool)
 
     @classmethod

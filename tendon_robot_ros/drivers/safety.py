@@ -11,8 +11,9 @@ After any release, commands are followed again only after `resume` (the sender h
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import compress
+from typing import NamedTuple
 
 import numpy as np
 
@@ -190,8 +191,7 @@ class SafetyRules:
             raise DriverError(f'safety rules: stop_tension is for pull mode, >= 0: {tension}')
 
 
-@dataclass(frozen=True)
-class Decision:
+class Decision(NamedTuple):
     """
     Command and state of one cycle.
 
@@ -222,7 +222,6 @@ class Decision:
     current_reduction: float = 0.0
 
 
-@dataclass
 class Supervisor:
     """
     Decides the command of the motors in every cycle.
@@ -230,26 +229,21 @@ class Supervisor:
     All times are monotonic seconds given by the caller.
     """
 
-    rules: SafetyRules
-    state: str = OFF
-    latch: StopLatch = field(default_factory=StopLatch)
-    _output: Floats = field(init=False)
-    _requested: Floats | None = None  # last usable command
-    _requested_at: float = -np.inf
-    _now: float = -np.inf
-    _clipped: tuple[str, ...] = ()
-    _tripped: set[str] = field(default_factory=set)  # inputs with a latched hardware error
-    _faulty: set[str] = field(default_factory=set)  # inputs with a fault, or affected by one
-    _let_go: str = ''  # reason for which the sender ended its commands
-    held: str = ''  # why the arm was released, until commands are followed again
-    releases: int = 0  # counted since the beginning
-    _causes: list[str] = field(default_factory=list)  # of a release, but for silence, last cycle
-    _stop_rate: float = 0.0  # of the release since a stop was requested, 0 before that
-    _reduction: float = 0.0  # of the motors' current limit, after a stop in pull mode
-
-    def __post_init__(self) -> None:
+    def __init__(self, rules: SafetyRules) -> None:
         """Start at rest, off."""
-        self._output = self.rules.rest.copy()
+        self.rules, self.latch, self.state = rules, StopLatch(), OFF
+        self.held = ''  # why the arm was released, until commands are followed again
+        self.releases = 0  # counted since the beginning
+        self._output = rules.rest.copy()
+        self._requested: Floats | None = None  # last usable command
+        self._requested_at = self._now = -np.inf
+        self._clipped: tuple[str, ...] = ()
+        self._tripped: set[str] = set()  # inputs with a latched hardware error
+        self._faulty: set[str] = set()  # inputs with a fault, or affected by one
+        self._let_go = ''  # reason for which the sender ended its commands
+        self._causes: list[str] = []  # of a release, but for silence, last cycle
+        self._stop_rate = 0.0  # of the release since a stop was requested, 0 before that
+        self._reduction = 0.0  # of the motors' current limit, after a stop in pull mode
 
     def start(self, now: float, reading: Reading) -> None:
         """
@@ -338,9 +332,10 @@ class Supervisor:
         silent = self._now - self._requested_at > self.rules.command_timeout
         if silent and not self._let_go:
             reasons.append(f'no command for {self.rules.command_timeout:g} s')
+        causes = tuple(dict.fromkeys(reasons))
         if (self._causes or self._let_go) or (silent and self._requested is not None):
-            self._hold_back('; '.join(dict.fromkeys(reasons)))
-        if reasons:
+            self._hold_back('; '.join(causes))
+        if causes:
             self._release(passed, reading)
         elif self.held:  # hold the command at which the cause ended
             if self.state != LIMP:
@@ -356,12 +351,7 @@ class Supervisor:
         limp = self.state == LIMP
         off = tuple(name for name in self.rules.inputs if limp or name in self._tripped)
         return Decision(
-            self._output.copy(),
-            off,
-            self.state,
-            tuple(dict.fromkeys(reasons)),
-            self._clipped,
-            self._reduction,
+            self._output.copy(), off, self.state, causes, self._clipped, self._reduction
         )
 
     def _accept(self, command: Floats | None) -> None:

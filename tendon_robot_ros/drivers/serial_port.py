@@ -48,6 +48,15 @@ class PortLostError(Exception):
     """The port is gone; `reopen` may bring it back."""
 
 
+@contextlib.contextmanager
+def lost_while(doing: str) -> Iterator[None]:
+    """Raise DriverError where the port is lost in the block: what was being done has failed."""
+    try:
+        yield
+    except PortLostError as error:
+        raise DriverError(f'{error}: lost while {doing}') from None
+
+
 def write_all(file: int, data: bytes) -> None:
     """
     Write to a port that does not block.
@@ -214,18 +223,14 @@ class PortDriver(HardwareDriver):
     """
 
     config: PortConfig
+    link: PortLink
     read_config: ClassVar[Callable[..., Any]]
     device: ClassVar[str]  # what is plugged in, for messages
     source: ClassVar[str]  # of the tensions
     released_after = np.inf
 
     def __init__(
-        self,
-        robot: Robot,
-        mode: str,
-        config: PortConfig,
-        link: PortLink,
-        wires: Sequence[WireConfig],
+        self, robot: Robot, mode: str, config: PortConfig, wires: Sequence[WireConfig]
     ) -> None:
         """Take the wires in the order of the robot's inputs."""
         limits = [wire.pull_limits for wire in wires]
@@ -233,7 +238,7 @@ class PortDriver(HardwareDriver):
             limits = [(robot.tension_limits[0], wire.tension_limit) for wire in wires]
         rates = np.array([wire.rate for wire in wires])
         super().__init__(robot, mode, config.port, np.array(limits), rates)
-        self.config, self.port, self.link = config, config.port, link
+        self.config, self.port = config, config.port
         self.cancelled: Callable[[], bool] = lambda: False
         self._retried = -np.inf  # monotonic [s]
 

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -45,8 +46,7 @@ class TendonReference:
     boot: str = ''  # id of this start of the computer: it changes when the power was off
 
 
-@dataclass(frozen=True)
-class TendonChange:
+class TendonChange(NamedTuple):
     """Change of one tendon since the reference."""
 
     name: str
@@ -83,21 +83,19 @@ def measure_reference(driver: Driver, tension: float) -> TendonReference:
         raise InputError(
             f'--tension: expected more than {lowest:g} and at most {highest:g} N, got {tension:g}'
         )
-    m = len(driver.inputs)
-    low, goal = np.full(m, lowest), np.full(m, tension)
     with ends_between() as check:
         driver.enable()
         try:
             present = np.clip(np.nan_to_num(driver.read().tensions), lowest, highest)
             arm = _HeldTendons(driver, check, present)
             try:
-                arm.ramp(goal, RAMP_S)
+                arm.ramp(tension, RAMP_S)
                 pulls, tensions = arm.still()
             except (DriverError, KeyboardInterrupt):
                 arm.check = lambda: None
-                arm.ramp(low, STOP_S)
+                arm.ramp(lowest, STOP_S)
                 raise
-            arm.ramp(low, RAMP_S)
+            arm.ramp(lowest, RAMP_S)
         finally:
             driver.disable()
     date = time.strftime('%Y-%m-%d %H:%M')
@@ -125,11 +123,8 @@ def changes(reference: TendonReference, now: TendonReference) -> list[TendonChan
 
 def read_reference(path: Path) -> TendonReference:
     """Read a reference that `save_reference` has written; one line where it is not valid."""
-
-    def refuse(reason: object) -> InputError:
-        return InputError(f'{path}: cannot be read: {reason}')
-
-    top = ConfigFields(str(path), '', read_yaml(path, refuse))
+    content = read_yaml(path, lambda reason: InputError(f'{path}: cannot be read: {reason}'))
+    top = ConfigFields(str(path), '', content)
     top.only(*(field.name for field in fields(TendonReference)))
     names = top.content.get('inputs')
     if not isinstance(names, list) or not names:
@@ -194,9 +189,9 @@ class _HeldTendons:
     command: Floats  # (m,) [N] the last one
     clock = staticmethod(time.monotonic)
 
-    def ramp(self, end: Floats, seconds: float) -> None:
-        """Bring the tensions from the last command to an end (m,) [N]."""
-        begin, began = self.command, self.clock()
+    def ramp(self, tension: float, seconds: float) -> None:
+        """Bring all tendons from the last command to a tension [N]."""
+        begin, began, end = self.command, self.clock(), np.full_like(self.command, tension)
         while (passed := self.clock() - began) < seconds:
             self._cycle(begin + passed / seconds * (end - begin))
         self._cycle(end)

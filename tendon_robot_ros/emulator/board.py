@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import math
 import os
 import shutil
 import subprocess
@@ -16,13 +15,14 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..common.errors import DriverError
 from ..common.files import shared_file
 from ..common.words import STANDARD_GRAVITY
+from ..drivers.hardware import Spool
 from ..drivers.serial_board.messages import ChannelFault, Protocol
 from ..drivers.serial_port import ANSWER_TIMEOUT_S
 from .port import COMMON_HELP, Command, Plug
@@ -120,10 +120,7 @@ class Firmware:
     def step(self, now: int) -> None:
         """Let its clock go to `now` [µs] with the present `sensors`."""
         self._library.host_step(
-            ctypes.addressof(self.sensors),
-            now & 0xFFFFFFFF,
-            ctypes.addressof(self._duties),
-            ctypes.addressof(self._enabled),
+            self.sensors, now & 0xFFFFFFFF, self._duties, ctypes.byref(self._enabled)
         )
         self.duties, self.enabled = list(self._duties), self._enabled.value
 
@@ -132,15 +129,8 @@ class Firmware:
         size = self._library.host_take(self._outbox)
         return self._outbox.raw[:size]
 
-    def decode(self, data: bytes) -> bytes | None:
-        """Decode the bytes between two delimiters as the board does: header and payload."""
-        buffer = ctypes.create_string_buffer(256)
-        size = self._library.host_decode(data, len(data), buffer) if len(data) < 256 else -1
-        return buffer.raw[: 4 + size] if size >= 0 else None
 
-
-@dataclass(frozen=True)
-class Gearmotor:
+class Gearmotor(NamedTuple):
     """
     The motor, encoder and spool behind every wire, and what a load cell adds.
 
@@ -152,15 +142,9 @@ class Gearmotor:
     lag: float = 0.005  # [s] first-order
     backdrive: float = 0.05  # [m/s per N] with which a load turns it back without power ...
     friction: float = 0.05  # [N] ... above this
-    spool_radius: float = 0.01  # [m]
-    ticks_per_turn: int = 2000  # of the encoder
+    spool: Spool = Spool(radius=0.01, direction=1, ticks_per_turn=2000)
     cell_noise: float = 40.0  # [counts] 1 sd of a load cell
     cell_rate: float = 80.0  # [Hz] at which its converter samples
-
-    @property
-    def metres_per_tick(self) -> float:
-        """Wire per tick of the encoder [m]."""
-        return 2.0 * math.pi * self.spool_radius / self.ticks_per_turn
 
 
 @dataclass
@@ -221,7 +205,7 @@ class BoardRig:
         if fresh:
             self._next_sample = self._time + 1.0 / self.motor.cell_rate
             noise = self._random.normal(0.0, self.motor.cell_noise, self.channels)
-        ticks = np.rint((self.places - self._zero) / self.motor.metres_per_tick).astype(int)
+        ticks = np.rint((self.places - self._zero) / self.motor.spool.metres_per_tick).astype(int)
         for i, (sensor, cell) in enumerate(zip(self.firmware.sensors, self.cells, strict=True)):
             sensor.fresh = fresh and not cell.broken
             if sensor.fresh:
@@ -246,8 +230,8 @@ class BoardRig:
     def config(self, inputs: Sequence[str]) -> dict[str, Any]:
         """Return a configuration for the driver, without its port, with calibrated load cells."""
         return {
-            'spool_radius': self.motor.spool_radius,
-            'ticks_per_turn': self.motor.ticks_per_turn,
+            'spool_radius': self.motor.spool.radius,
+            'ticks_per_turn': self.motor.spool.ticks_per_turn,
             'pull_limits': [-0.05, 0.05],
             'tension_gain': 0.03,
             'calibration': {

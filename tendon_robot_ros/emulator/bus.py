@@ -18,8 +18,8 @@ import termios
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -118,8 +118,7 @@ def fast_status(parts: list[tuple[int, int, bytes]]) -> bytes:
     return out
 
 
-@dataclass(frozen=True)
-class Instruction:
+class Instruction(NamedTuple):
     """An instruction packet whose CRC is right."""
 
     identity: int
@@ -139,11 +138,7 @@ class InstructionReceiver:
         """Take bytes; return the instructions that are complete now."""
         self._buffer += data
         instructions: list[Instruction] = []
-        while True:
-            start = self._buffer.find(HEADER)
-            if start < 0:
-                self._buffer = self._buffer[-3:]
-                return instructions
+        while (start := self._buffer.find(HEADER)) >= 0:
             self._buffer = self._buffer[start:]
             if len(self._buffer) < 7:
                 return instructions
@@ -159,6 +154,8 @@ class InstructionReceiver:
             else:
                 self.broken += 1
                 self._buffer = self._buffer[4:]
+        self._buffer = self._buffer[-3:]
+        return instructions
 
 
 class Responder:

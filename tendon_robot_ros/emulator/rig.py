@@ -8,8 +8,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,24 +31,15 @@ TRACE_MAX = 20_000  # [entries] so that more than 40 s are kept (benchmarks ask 
 SILENCE_STEP_MAX_S = REGISTERS['bus_watchdog'].unit
 
 
-class Arm(Protocol):
-    """Something with wires."""
-
-    def tensions(self, wound: Floats, passed: float) -> Floats:
-        """Return the tensions [N] for the wound wire, both shape (m,) [m], after `passed` s."""
-        ...
-
-    def resistance(self, wire: int) -> tuple[float, float]:
-        """
-        Return what a wire pulls now [N], and its stiffness if wound on alone [N/m].
-
-        Of a slack wire the pull is negative: it rises through zero where the wire becomes taut.
-        """
-        ...
-
-
 class SpringArm:
-    """Independent linear springs: the simplest arm that has slack and tension."""
+    """
+    Independent linear springs: the simplest arm that has slack and tension.
+
+    Every emulated arm has the two methods of this one. `tensions` returns the tensions [N] for the
+    wound wire, both shape (m,) [m], after `passed` s. `resistance` returns what a wire pulls now
+    [N], and its stiffness if wound on alone [N/m]; of a slack wire the pull is negative: it rises
+    through zero where the wire becomes taut.
+    """
 
     def __init__(self, stiffness: Floats, slack: Floats | None = None) -> None:
         """Take stiffness [N/m] and slack [m] per wire, shape (m,)."""
@@ -214,6 +204,9 @@ class ElasticArm:
         self._stiffness: list[float] = (1.0 / alone).tolist()
 
 
+Arm = SpringArm | ElasticArm  # what motors may wind
+
+
 def softer(compliance: Floats) -> float:
     """
     Return the addition to the diagonal of a compliance [m/N] for which tensions are unique.
@@ -238,8 +231,7 @@ def softer(compliance: Floats) -> float:
     return added * size
 
 
-@dataclass(frozen=True)
-class Wire:
+class Wire(NamedTuple):
     """A wire on the spool of a servo: its id, the spool's radius [m], +1 or -1 winds."""
 
     servo: int
@@ -284,8 +276,7 @@ class Rig:
     @property
     def wound(self) -> np.ndarray:
         """Wire on the spools since the start, shape (m,) [m]."""
-        wound: np.ndarray = (self._angles() - self._zero) @ self._lever
-        return wound
+        return np.asarray((self._angles() - self._zero) @ self._lever)
 
     def advance(self, passed: float) -> None:
         """Let time [s] pass."""

@@ -22,8 +22,8 @@ ROBOTIS e-Manual, https://emanual.robotis.com/docs/en/dxl/x/ and /docs/en/dxl/pr
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 from ..drivers.dynamixel.control_table import (
     BAUD_RATES,
@@ -77,8 +77,7 @@ GAINS = {
 BY_ADDRESS = {register.address: name for name, register in REGISTERS.items()}
 
 
-@dataclass(frozen=True)
-class Load:
+class Load(NamedTuple):
     """
     Torque of wires against a motor, and how it changes while the motor turns.
 
@@ -105,7 +104,6 @@ class Load:
         return sum(r * r * k for r, pull, k in self.wires if pull + k * r * turned > 0.0)
 
 
-@dataclass
 class ServoMotion:
     """
     State of one motor.
@@ -114,6 +112,9 @@ class ServoMotion:
     ----------
     model : ServoModel
         Torque per ampere, friction and top speed.
+
+    Attributes
+    ----------
     angle : float
         Of the output shaft since the servo's zero [rad].
     speed : float
@@ -123,29 +124,24 @@ class ServoMotion:
     drag : float
         Against the speed [N·m]: viscous friction, and what keeps it from turning even faster when
         a wire turns it at its top speed.
+    friction : float
+        Dry friction of the gear at the output [N·m].
+    damping : float
+        Viscous friction [N·m·s/rad].
 
     """
 
-    model: ServoModel
-    angle: float = 0.0
-    speed: float = 0.0
-    current: float = 0.0
-    drag: float = 0.0
-
-    @property
-    def friction(self) -> float:
-        """Dry friction of the gear at the output [N·m]."""
-        return self.model.friction_current * self.model.torque_per_ampere
+    def __init__(self, model: ServoModel) -> None:
+        """Stand still at the zero."""
+        self.model = model
+        self.angle = self.speed = self.current = self.drag = 0.0
+        self.friction = model.friction_current * model.torque_per_ampere
+        self.damping = DAMPING * model.stall_torque / model.no_load_speed
 
     @property
     def ticks(self) -> int:
         """Position as the encoder counts it."""
         return math.floor(self.angle / RADIANS_PER_TICK + 0.5)
-
-    @property
-    def damping(self) -> float:
-        """Viscous friction [N·m·s/rad]."""
-        return DAMPING * self.model.stall_torque / self.model.no_load_speed
 
     def drive_current(self, current: float, load: Load, step: float) -> None:
         """
@@ -409,7 +405,6 @@ class Servo:
         self.put('present_current', round(motion.current / self.model.current_unit))
         self.put('present_velocity', round(motion.speed / REGISTERS['present_velocity'].unit))
         self.put('present_temperature', round(self.temperature))
-        self.put(
-            'present_input_voltage', round(self.voltage / REGISTERS['present_input_voltage'].unit)
-        )
+        volt = REGISTERS['present_input_voltage'].unit
+        self.put('present_input_voltage', round(self.voltage / volt))
         self.put('moving', int(abs(motion.speed) > 0.01))

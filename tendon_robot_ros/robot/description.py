@@ -200,10 +200,9 @@ def parse_robot(text: str, source: str = 'robot') -> Robot:
     if len(text) > DESCRIPTION_MAX:
         expected = f'at most {DESCRIPTION_MAX:,} characters'
         raise RobotDescriptionError(source, 'file', expected, 'more than that')
-    try:
-        content = parse_yaml(text)
-    except ValueError as error:
-        raise RobotDescriptionError(source, 'file', 'valid YAML', str(error)) from None
+    content = parse_yaml(
+        text, lambda reason: RobotDescriptionError(source, 'file', 'valid YAML', reason)
+    )
     if content is None:
         expected = 'a robot description (`robot new` writes one)'
         raise RobotDescriptionError(source, 'file', expected, 'an empty file')
@@ -218,15 +217,14 @@ def check_robot(top: Reader) -> Robot:
     tendons = tuple(_tendon(item, sections) for item in top.items('tendons'))
     top.unique('tendons', [tendon.name for tendon in tendons])
     groups = {tendon.group for tendon in tendons if tendon.group}
+    names = groups | {tendon.name for tendon in tendons}
     for tendon in tendons:
         if tendon.name in groups:
             raise top.error('tendons', 'group names that are not tendon names', tendon.name)
-    names = groups | {tendon.name for tendon in tendons}
-    for tendon in tendons:
         if tendon.drum in names:
             raise top.error('tendons', 'drums with names of their own', tendon.drum)
     effects: dict[str, EffectValues] = {}
-    for name in top.mapping('effects'):
+    for name in top.child('effects').content:
         effect = top.child('effects').child(str(name))
         effects[str(name)] = {str(key): effect.numbers(str(key)) for key in effect.content}
     tolerances = top.child('tolerances')
@@ -239,7 +237,7 @@ def check_robot(top: Reader) -> Robot:
         effects=effects,
         gravity=top.vector('gravity', 3) if top.has('gravity') else None,
         tolerances={key: tolerances.number(key, 0.0, 1.0) for key in tolerances.content},
-        fitted=dict(top.mapping('fitted')),
+        fitted=dict(top.child('fitted').content),
         exact=top.flag('exact'),
         model_error=top.length('model_error') if top.has('model_error') else None,
         source=top.source,

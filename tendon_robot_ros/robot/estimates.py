@@ -120,61 +120,60 @@ def handling(robot: Robot) -> list[str]:
         if drop > SAG_FRACTION_MAX * robot.length:
             sags = 'hangs down under its own weight'
         lines.append(f'weighs {1e3 * kilograms:.3g} g; level, it {sags}')
-    return lines + doubts(robot, rates)
+    wrong = _other_units(robot) or _other_stiffness(robot, rates)
+    return [*lines, f'NOT PLAUSIBLE: {wrong}' if wrong else _plausible(robot, rates)]
 
 
-def doubts(robot: Robot, rates: Floats) -> list[str]:
-    """Return a line about implausible values, or one about the range of the tensions."""
+def _plausible(robot: Robot, rates: Floats) -> str:
+    """Return a line about the range of the tensions."""
+    top, moving = robot.tension_limits[1], rates[rates > 0.0]
+    needed = sorted({f'{0.5 * math.pi / rate:.2g}' for rate in moving}, key=float)
+    span = needed[0] if len(needed) == 1 else f'{needed[0]} to {needed[-1]}'
+    if 0.5 * math.pi / moving.max() > top:
+        bend = _degrees(top * float(moving.max()))
+        return f'plausible: {top:g} N, the most that may pull, bend by {bend} (90° take {span} N)'
+    return f'plausible: 90° take {span} N, at most {top:g} N may pull'
+
+
+def _other_stiffness(robot: Robot, rates: Floats) -> str:
+    """Say which input bends its section by too little or too much to be plausible, '' if none."""
     low, top = robot.tension_limits
     right_angle = 0.5 * math.pi
-    lines = _other_units(robot)
     for name, rate in zip(robot.inputs, rates.tolist(), strict=True):
         if 0.0 < rate * top < BEND_MIN_RAD:
-            lines.append(
+            return (
                 f'{name} at its limit of {top:g} N bends by {_degrees(rate * top)} only; is '
                 'bending_stiffness too high (N·m/rad of one cell), or an offset too small (m)?'
             )
-        elif rate * max(low, INPUT_TOLERANCE * top) > right_angle:
-            lines.append(
+        if rate * max(low, INPUT_TOLERANCE * top) > right_angle:
+            return (
                 f'{name} bends by 90° at {right_angle / rate:.2g} N, with tensions from '
                 f'{low:g} to {top:g} N; is bending_stiffness too low (N·m/rad of one cell), or '
                 'tension_limits too high (N)?'
             )
-    if lines:
-        return [f'NOT PLAUSIBLE: {line}' for line in lines[:1]]
-    moving = rates[rates > 0.0]
-    if not len(moving):
-        return ['NOT PLAUSIBLE: no input bends its section; are the signs of the offsets right?']
-    needed = sorted({f'{right_angle / rate:.2g}' for rate in moving}, key=float)
-    span = needed[0] if len(needed) == 1 else f'{needed[0]} to {needed[-1]}'
-    if right_angle / moving.max() > top:
-        bend = _degrees(top * float(moving.max()))
-        return [
-            f'plausible: {top:g} N, the most that may pull, bend by {bend} (90° take {span} N)'
-        ]
-    return [f'plausible: 90° take {span} N, at most {top:g} N may pull']
+    return '' if rates.any() else 'no input bends its section; are the signs of the offsets right?'
 
 
-def _other_units(robot: Robot) -> list[str]:
+def _other_units(robot: Robot) -> str:
     """
-    Say where a length or an offset seems to be in millimetres.
+    Say where a length or an offset seems to be in millimetres, '' if nowhere.
 
     Cells of arms are about as long as their tendons are off the centre, within a factor of some
     tens: where the one is more than `MILLIMETRES` times the other, millimetres suit better.
     """
     offsets = np.linalg.norm(tendon_offsets(robot), axis=2).max(axis=1)  # (n,) [m]
-    lines, first = [], 0
+    first = 0
     for section in robot.sections:
         offset, first = float(offsets[first]), first + section.cells
         ratio = section.cell_length / offset if offset > 0.0 else 1.0
         if section.is_plate or 1.0 / MILLIMETRES < ratio < MILLIMETRES:
             continue
         wrong = 'cell_length' if ratio > 1.0 else 'the offset'
-        lines.append(
+        return (
             f'a cell of {section.name} is {1e3 * section.cell_length:.4g} mm long, the tendons '
             f'are {1e3 * offset:.4g} mm off the centre; is {wrong} in mm? Write m'
         )
-    return lines
+    return ''
 
 
 def _degrees(angle: float) -> str:

@@ -12,9 +12,9 @@ vector of the box about its centre. `margin` is kept besides: the thickness of t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +31,7 @@ TEXT_MAX = 20_000  # [1] characters, because it is read while the arm is command
 KINDS = 'plane', 'sphere', 'box'
 
 
-@dataclass(frozen=True)
-class Plane:
+class Plane(NamedTuple):
     """All that lies behind a plane, against its normal."""
 
     point: tuple[float, float, float]  # [m]
@@ -44,8 +43,7 @@ class Plane:
         return np.asarray((points - self.point) @ (normal / np.linalg.norm(normal)))
 
 
-@dataclass(frozen=True)
-class Sphere:
+class Sphere(NamedTuple):
     """A ball."""
 
     centre: tuple[float, float, float]  # [m]
@@ -56,8 +54,7 @@ class Sphere:
         return np.asarray(np.linalg.norm(points - self.centre, axis=-1) - self.radius)
 
 
-@dataclass(frozen=True)
-class Box:
+class Box(NamedTuple):
     """A box, turned about its centre by a rotation vector."""
 
     centre: tuple[float, float, float]  # [m]
@@ -75,8 +72,7 @@ class Box:
 Solid = Plane | Sphere | Box
 
 
-@dataclass(frozen=True)
-class Region:
+class Region(NamedTuple):
     """A named solid and the distance that is kept from it."""
 
     name: str
@@ -84,8 +80,7 @@ class Region:
     margin: float = 0.0  # [m]
 
 
-@dataclass(frozen=True)
-class Clearance:
+class Clearance(NamedTuple):
     """The minimum distance of points from all regions."""
 
     distance: float  # [m], its margin taken off; negative: inside; inf without regions
@@ -102,7 +97,7 @@ class Clearance:
 class KeepOut:
     """Regions that no part of the arm may enter; without any, everything is allowed."""
 
-    regions: tuple[Region, ...] = field(default=())
+    regions: tuple[Region, ...] = ()
 
     def __bool__(self) -> bool:
         """Whether there are regions."""
@@ -159,13 +154,10 @@ def parse_keep_out(text: str, source: str = 'keep_out') -> KeepOut:
     """
     if len(text) > TEXT_MAX:
         raise InputError(f'{source}: expected at most {TEXT_MAX} characters, got {len(text)}')
-    try:
-        content: Any = parse_yaml(text)
-    except ValueError as error:
-        raise InputError(f'{source}: {error}') from None
-    if content is None or content == []:
-        return KeepOut()
-    reader = Reader(source, '', {'keep_out': content} if isinstance(content, list) else content)
+    content = parse_yaml(text, lambda reason: InputError(f'{source}: {reason}'))
+    if content is None or isinstance(content, list):
+        content = {'keep_out': content or []}
+    reader = Reader(source, '', content)
     reader.only('keep_out')
     if reader.content.get('keep_out') == []:
         return KeepOut()
@@ -187,7 +179,7 @@ def joined(*texts: str) -> str:
     items: list[object] = []
     for text in texts:
         parse_keep_out(text)  # raises where it is not valid
-        content: Any = parse_yaml(text) or []
+        content = parse_yaml(text) or []
         content = content if isinstance(content, list) else content['keep_out']
         items += [item for item in content if item not in items]
     merged = yaml.safe_dump({'keep_out': items}, default_flow_style=None)

@@ -33,24 +33,12 @@ from itertools import cycle
 from pathlib import Path
 from typing import TypeVar
 
+import dynamixel_sdk as sdk
 import serial
-from dynamixel_sdk import (
-    COMM_SUCCESS,
-    GroupSyncRead,
-    GroupSyncWrite,
-    PortHandler,
-    Protocol2PacketHandler,
-)
 
 from ...common.errors import DriverError
-from ..serial_port import (
-    ANSWER_TIMEOUT_S,
-    HICCUPS_MAX,
-    PortLink,
-    PortLostError,
-    held_by,
-    write_all,
-)
+from .. import serial_port
+from ..serial_port import ANSWER_TIMEOUT_S, HICCUPS_MAX, PortLostError, held_by
 from .control_table import REGISTERS, TABLE_BYTES, decode, encode
 
 T = TypeVar('T')
@@ -74,7 +62,7 @@ class StatusByte(IntEnum):
     DATA = 9
 
 
-class Port(PortHandler):  # type: ignore[misc]
+class Port(sdk.PortHandler):  # type: ignore[misc]
     """The SDK's port handler on an open port; `clock` tells how long it waits for answers [s]."""
 
     clock = staticmethod(time.monotonic)
@@ -96,7 +84,7 @@ class Port(PortHandler):  # type: ignore[misc]
 
     def writePort(self, packet: list[int]) -> int:  # noqa: N802
         """Write a packet; return its length."""
-        write_all(self.ser.fileno(), bytes(packet))
+        serial_port.write_all(self.ser.fileno(), bytes(packet))
         return len(packet)
 
     def waiting(self, seconds: float = 0.0) -> int:
@@ -139,7 +127,7 @@ def check_latency(path: str, allow: bool, sysfs: str = '/sys') -> int | None:
     return milliseconds
 
 
-class Bus(PortLink):
+class Bus(serial_port.PortLink):
     """
     One serial bus with servos.
 
@@ -159,7 +147,7 @@ class Bus(PortLink):
         super().__init__(path, baud)
         self.failures = {'no or broken answer': 0, 'port lost': 0}
         self.answer_time, self.fast = answer_time, False
-        self._packets = Protocol2PacketHandler()
+        self._packets = sdk.Protocol2PacketHandler()
         self._responding: list[int] = []  # ids of servos that answered, the last one first
         self._behind = False  # a late answer may still arrive
         self._fresh_lengths = cycle(FRESH_LENGTHS)
@@ -222,9 +210,9 @@ class Bus(PortLink):
         """Request bytes; return those of the first packet that can be the answer."""
         try:
             result = self._packets.readTx(port, identity, address, length)
-            while result == COMM_SUCCESS:
+            while result == sdk.COMM_SUCCESS:
                 packet, result = self._packets.rxPacket(port, False)
-                if result != COMM_SUCCESS or packet[StatusByte.ID] != identity:
+                if result != sdk.COMM_SUCCESS or packet[StatusByte.ID] != identity:
                     continue
                 complete = packet[StatusByte.LENGTH] == length + 4
                 if complete and not packet[StatusByte.ERROR] & 0x7F:
@@ -236,7 +224,7 @@ class Bus(PortLink):
     def ping(self, identity: int) -> int | None:
         """Return the model number of a servo, None when it does not answer."""
         number, result, _ = self._talk(lambda port: self._packets.ping(port, identity))
-        if result != COMM_SUCCESS:
+        if result != sdk.COMM_SUCCESS:
             self._behind = True
             return None
         self._answered(identity)
@@ -268,13 +256,9 @@ class Bus(PortLink):
         if name in GOALS:
             raise ValueError('goals are written by send_goals, which keeps them within bounds')
         register = REGISTERS[name]
-        data = list(encode(register, value))
-        result, error = self._talk(
-            lambda port: self._packets.writeTxRx(
-                port, identity, register.address, register.size, data
-            )
-        )
-        if result != COMM_SUCCESS:
+        where, data = (identity, register.address, register.size), list(encode(register, value))
+        result, error = self._talk(lambda port: self._packets.writeTxRx(port, *where, data))
+        if result != sdk.COMM_SUCCESS:
             self._failed()
             return 'no answer'
         self._answered(identity)
@@ -301,7 +285,7 @@ class Bus(PortLink):
 
         """
         register = REGISTERS[name]
-        writer = GroupSyncWrite(self._port, self._packets, register.address, register.size)
+        writer = sdk.GroupSyncWrite(self._port, self._packets, register.address, register.size)
         for identity, goal in goals.items():
             low, high = bounds[identity]
             value = without_header(min(max(goal, low), high), low)
@@ -330,14 +314,14 @@ class Bus(PortLink):
         self, port: Port, address: int, length: int, identities: tuple[int, ...]
     ) -> dict[int, bytes] | None:
         """Read the same bytes from several servos at once, None where any of them is missing."""
-        reader = GroupSyncRead(port, self._packets, address, length)
+        reader = sdk.GroupSyncRead(port, self._packets, address, length)
         for identity in identities:
             reader.addParam(identity)
         try:
             result = reader.fastSyncRead() if self.fast else reader.txRxPacket()
         except (IndexError, struct.error):  # an answer shorter than the SDK expects
             result = None
-        if result != COMM_SUCCESS:
+        if result != sdk.COMM_SUCCESS:
             return None
         blocks = {i: bytes(reader.data_dict[i]) for i in identities}
         return blocks if all(len(data) == length for data in blocks.values()) else None

@@ -12,7 +12,7 @@ import datetime
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,8 +40,7 @@ class CurrentLine(hardware.LineFit):
         return max(0.0, (current - self.intercept) / self.slope)
 
 
-@dataclass(frozen=True)
-class Calibration:
+class Calibration(NamedTuple):
     """
     Current over tension: one line for winding and one for paying out.
 
@@ -128,8 +127,7 @@ def smallest_spool(model: ServoModel, limit: float) -> float:
     return math.ceil(1e3 * smallest + 0.5) / 1e3
 
 
-@dataclass(frozen=True)
-class CurrentPoint:
+class CurrentPoint(NamedTuple):
     """Currents with one weight on the wire: mean while winding and while paying out [A]."""
 
     tension: float  # [N]
@@ -147,25 +145,21 @@ def fit_current(points: Sequence[CurrentPoint]) -> Calibration:
         Fewer than three weights, or currents that do not grow with the weight.
 
     """
-    tensions = np.array([point.tension for point in points])
+    tensions, *currents = np.array(points).T
     different = len(np.unique(tensions))
     if different < hardware.WEIGHTS_MIN:
         raise InputError(
             f'calibration: expected at least {hardware.WEIGHTS_MIN} different weights, '
             f'got {different}'
         )
-    lines: dict[str, CurrentLine] = {}
-    for name in ('wind', 'pay_out'):
-        lines[name] = line = CurrentLine(
-            *hardware.fit_line(tensions, np.array([getattr(p, name) for p in points]))
-        )
+    wind, pay_out = (CurrentLine(*hardware.fit_line(tensions, measured)) for measured in currents)
+    for name, line in (('wind', wind), ('pay_out', pay_out)):
         if line.slope <= 0.0:
             raise InputError(
                 f'calibration: {name}: the current does not grow with the weight '
                 f'({line.slope:.3g} A/N); does the weight hang free?'
             )
-    scatter = max(line.scatter for line in lines.values())
-    return Calibration(**lines, measured=True, scatter=scatter)
+    return Calibration(wind, pay_out, measured=True, scatter=max(wind.scatter, pay_out.scatter))
 
 
 def to_mapping(

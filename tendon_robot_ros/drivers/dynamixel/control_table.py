@@ -17,6 +17,7 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from functools import cached_property
+from typing import NamedTuple
 
 from ...common.words import UNITS
 
@@ -63,13 +64,7 @@ HARDWARE_ERRORS = {
 }
 
 
-def hardware_errors(status: int) -> list[tuple[str, str]]:
-    """Return code and words of every bit that is set in the hardware error status, address 70."""
-    return [(str(e.name).lower(), text) for e, text in HARDWARE_ERRORS.items() if status & e]
-
-
-@dataclass(frozen=True)
-class Register:
+class Register(NamedTuple):
     """A value of the control table: address, size [bytes], sign, and one count in SI units."""
 
     address: int

@@ -13,7 +13,7 @@ from ...common.arrays import Floats
 from ...common.errors import DriverError
 from ...robot import Robot
 from ..interface import Fault
-from ..serial_port import HICCUPS_MAX, RESTART_TIMEOUT_S, PortDriver, PortLostError
+from ..serial_port import HICCUPS_MAX, RESTART_TIMEOUT_S, PortDriver, PortLostError, lost_while
 from . import servos
 from .bus import Bus, check_latency
 from .config import DynamixelConfig, read_config
@@ -32,11 +32,11 @@ class DynamixelDriver(PortDriver):
 
     def __init__(self, robot: Robot, config: DynamixelConfig, mode: str) -> None:
         """Take robot, checked configuration, and `tension` or `pull`."""
-        bus = Bus(config.port, config.baudrate, config.answer_time)
-        super().__init__(robot, mode, config, bus, config.motors)
+        super().__init__(robot, mode, config, config.motors)
+        self.link = Bus(config.port, config.baudrate, config.answer_time)
         self.motors = make_motors(config, mode)
         self._operating = servos.operating_mode(config, mode)
-        self._watch = servos.Watch(bus, self._operating)
+        self._watch = servos.Watch(self.link, self._operating)
         self._silence, self._silent_after = 'set when torque comes on', float('nan')  # [s]
         self._latency: int | None = None
         self._lost: list[Motor] = []
@@ -95,7 +95,7 @@ class DynamixelDriver(PortDriver):
         """Restart motors after a hardware error; their torque is off and their turns unknown."""
         self._require_open('reboot')
         chosen = self._motors_of(inputs)
-        try:
+        with lost_while('rebooting'):
             servos.torque_off(self.link, chosen)
             for motor in chosen:
                 self.link.reboot(motor.identity)
@@ -108,8 +108,6 @@ class DynamixelDriver(PortDriver):
                 motor.errors = self.link.read(motor.identity, 'hardware_error_status') or 0
             servos.read_state(self.link, chosen)
             self._zero_in_place()
-        except PortLostError as error:
-            raise DriverError(f'{error}: lost while rebooting') from None
         if waiting:
             raise DriverError(
                 f'{self.config.port}: no answer after the reboot: {", ".join(map(str, waiting))}'
@@ -117,11 +115,10 @@ class DynamixelDriver(PortDriver):
 
     def describe(self) -> dict[str, str]:
         """Return facts about bus and servos: names with units to values."""
-        latency = self._latency
         facts = {
             'port': self.config.port,
             'baud_rate (1/s)': str(self.config.baudrate),
-            'latency_timer (s)': '' if latency is None else f'{1e-3 * latency:g}',
+            'latency_timer (s)': '' if self._latency is None else f'{1e-3 * self._latency:g}',
             'group read': 'fast sync read' if self.link.fast else 'sync read',
             'tension_uncertainty (N)': f'{max(w.resolution.band for w in self.config.motors):.3g}',
         }
@@ -173,24 +170,19 @@ class DynamixelDriver(PortDriver):
     def _send(self) -> None:
         """Send the goals, and the current limit while it is reduced and for a while after."""
         on = [motor for motor in self.motors.values() if motor.torque_requested]
-        current_bounds = {motor.identity: motor.current_bounds for motor in on}
         if self._limits_reduced() or self._limit_due > 0:
-            largest = {identity: high for identity, (_, high) in current_bounds.items()}
-            self.link.send_goals('goal_current', largest, current_bounds)
+            servos.send_currents(self.link, {motor: motor.current_bounds[1] for motor in on})
             self._limit_due -= 1
         tension = self.mode == 'tension'
         # a silent servo may have lost its power and its count of turns: a position goal would
         # wind it on
         goals = {
-            motor.identity: motor.goal([self._goal[self.inputs.index(n)] for n in motor.names])
+            motor: motor.goal([self._goal[self.inputs.index(n)] for n in motor.names])
             for motor in on
             if motor.answers or tension
         }
-        if tension:
-            self.link.send_goals('goal_current', goals, current_bounds)
-        else:
-            bounds = {motor.identity: motor.position_bounds for motor in on}
-            self.link.send_goals('goal_position', goals, bounds)
+        send = servos.send_currents if tension else servos.send_positions
+        send(self.link, goals)
 
     def limit_current(self, reduction: float, tension: float) -> None:
         """Reduce the current from what motors carry (0: their limit) to `tension` [N] (1)."""

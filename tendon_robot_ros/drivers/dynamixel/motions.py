@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from ...common.errors import DriverError, MovedError
 from ...common.processes import ends_between
 from ..hardware import READINGS_MIN, STANDING_S
 from ..interface import CYCLE_S, travelled
-from ..serial_port import HICCUPS_MAX, PortLostError
+from ..serial_port import HICCUPS_MAX, PortLostError, lost_while
 from . import servos
 from .bus import Bus
 from .config import CurrentPoint, DynamixelConfig
@@ -39,40 +38,31 @@ TURNING_TIMEOUT_S = 2.0  # [s] without turning, or with too little current, else
 END_FRACTION = 0.2
 
 
-@dataclass
 class SlackSearch:
     """The search of one motor: its direction, its goal, and the time that it stands still."""
 
-    bus: Bus
-    config: DynamixelConfig
-    motor: Motor
-    start: int  # ticks
-    origin: float  # ticks; where the first attempt began
-    direction: int  # +1 or -1, of the ticks
-    goal: float  # ticks
-    backing: bool
-    still: float = 0.0  # [s] for which it has not followed its goal
-    stalls: tuple[int, ...] = ()
-    missed: int = 0  # answers in a row
-    trips: int = 0  # of its watchdog
-    checked: float = 0.0  # [s] of `still` at which its watchdog was read
-    finished: bool = False
-
-    @classmethod
-    def begin(cls, bus: Bus, config: DynamixelConfig, motor: Motor) -> SlackSearch:
+    def __init__(self, bus: Bus, config: DynamixelConfig, motor: Motor) -> None:
         """Begin where the motor is; give it only the current of the homing tension."""
         if motor.ticks is None or not motor.answers:
             raise DriverError(f'{bus.path}: {motor}: no answer; check the cable')
-        ticks, direction = motor.ticks, motor.wires[0].spool.direction
-        origin = ticks - travelled(bus.path).get(motor.identity, 0.0)
-        alone = len(motor.wires) == 1
-        search = cls(bus, config, motor, ticks, origin, direction, ticks, backing=alone)
-        search.stay_near()
-        reach = search.ticks(config.home_travel + 2.0 * BACK_OFF_M)
+        self.bus, self.config, self.motor = bus, config, motor
+        self.start, self.goal = motor.ticks, float(motor.ticks)  # ticks
+        # ticks; where the first attempt began
+        self.origin = motor.ticks - travelled(bus.path).get(motor.identity, 0.0)
+        self.direction = motor.wires[0].spool.direction  # +1 or -1, of the ticks
+        # ticks behind its goal that show a stall: a motor that follows has no such lag
+        self.lag = self.ticks(0.5 * BACK_OFF_M)
+        self.backing, self.finished = len(motor.wires) == 1, False
+        self.still = 0.0  # [s] for which it has not followed its goal
+        self.checked = 0.0  # [s] of `still` at which its watchdog was read
+        self.stalls: tuple[int, ...] = ()
+        self.missed, self.trips = 0, 0  # answers in a row; trips of its watchdog
+        self.stay_near()
+        reach = self.ticks(config.home_travel + 2.0 * BACK_OFF_M)
         amperes = max(w.calibration.wind.current(config.home_tension) for w in motor.wires)
         counts = max(1, math.ceil(amperes / motor.model.current_unit))
-        motor.guided = (counts, (math.ceil(origin - reach), math.floor(origin + reach)))
-        return search
+        bounds = math.ceil(self.origin - reach), math.floor(self.origin + reach)
+        motor.guided = (counts, bounds)
 
     @property
     def middle(self) -> float | None:
@@ -80,11 +70,6 @@ class SlackSearch:
         if len(self.stalls) < len(self.motor.wires):
             return None
         return sum(self.stalls) / len(self.stalls)
-
-    @property
-    def lag(self) -> float:
-        """Ticks behind its goal that show a stall: a motor that follows has no such lag."""
-        return self.ticks(0.5 * BACK_OFF_M)
 
     def ticks(self, length: float) -> float:
         """Turn a length of wire [m] into ticks."""
@@ -205,7 +190,7 @@ def find_slack(
 
     """
     servos.read_state(bus, motors)
-    searches = [SlackSearch.begin(bus, config, motor) for motor in motors]
+    searches = [SlackSearch(bus, config, motor) for motor in motors]
     try:
         servos.torque_on(bus, motors, MODE, WATCHDOG_COUNTS)
         try:
@@ -243,9 +228,7 @@ def wind_until_taut(
         servos.read_state(bus, [search.motor for search in searches])
         for search in searches:
             search.cycle(passed)
-        goals = {s.motor.identity: round(s.goal) for s in searches}
-        bounds = {s.motor.identity: s.motor.position_bounds for s in searches}
-        bus.send_goals('goal_position', goals, bounds)
+        servos.send_positions(bus, {search.motor: round(search.goal) for search in searches})
         time.sleep(CYCLE_S)
     for search in searches:
         search.motor.zero = search.middle
@@ -301,15 +284,13 @@ def wind_weight(
     slack = abs(end - start) // 4
     motor.guided = (motor.strongest, (min(start, end) - slack, max(start, end) + slack))
     try:
-        with ends_between() as check:
+        with lost_while('calibrating; the bus watchdog stops it'), ends_between() as check:
             try:
                 servos.torque_on(bus, [motor], MODE, WATCHDOG_COUNTS)
                 up = turn_steadily(bus, motor, end, travel / speed, check)
                 down = turn_steadily(bus, motor, start, travel / speed, check)
             finally:
                 servos.torque_off(bus, [motor])
-    except PortLostError as error:
-        raise DriverError(f'{error}: lost while calibrating; the bus watchdog stops it') from None
     finally:
         motor.guided = None
     return CurrentPoint(tension, up, down)
@@ -317,9 +298,7 @@ def wind_weight(
 
 def turn_to(bus: Bus, motor: Motor, ticks: int) -> None:
     """Send a goal and read what the motor does a period later."""
-    bus.send_goals(
-        'goal_position', {motor.identity: ticks}, {motor.identity: motor.position_bounds}
-    )
+    servos.send_positions(bus, {motor: ticks})
     time.sleep(CYCLE_S)
     for _ in range(HICCUPS_MAX):
         servos.read_state(bus, [motor])

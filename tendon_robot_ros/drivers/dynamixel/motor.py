@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 from ..hardware import READINGS_MIN
-from ..interface import Fault
+from ..interface import Fault, latched
 from .config import DynamixelConfig, MotorWire
-from .control_table import REGISTERS, Counts, ServoModel, decode, hardware_errors
+from .control_table import HARDWARE_ERRORS, REGISTERS, Counts, decode
 
 # of that current, because a reading is rounded, rippled and a cycle old: a fraction [1] ...
 CARRIED_MARGIN = 0.1
@@ -27,7 +26,6 @@ STATE = span('present_current', 'present_position')
 HEALTH = span('present_input_voltage', 'present_temperature')
 
 
-@dataclass(eq=False)
 class Motor:
     """
     State of one servo.
@@ -42,6 +40,9 @@ class Motor:
 
     Attributes
     ----------
+    model : ServoModel
+    names : tuple of str
+        Of its inputs.
     torque_requested : bool
         The driver has switched the torque on.
     answers : bool
@@ -61,40 +62,28 @@ class Motor:
 
     """
 
-    identity: int
-    wires: tuple[MotorWire, ...]
-    mode: str
-    firmware: int = 0
-    torque_requested: bool = False
-    answers: bool = True
-    errors: int = 0
-    restarted: bool = False
-    tripped: bool = False
-    ticks: int | None = None
-    current: int | None = None
-    velocity: int = 0
-    zero: float | None = None
-    voltage: float | None = None
-    voltage_limits: tuple[float, float] = (0.0, math.inf)
-    temperature: float | None = None
-    hottest: float = math.inf
-    # largest current [counts], and goal positions [ticks], while the driver itself moves it
-    guided: tuple[int, tuple[int, int]] | None = None
-    reduced_limit: int | None = None  # [counts] of current since a stop in pull mode
-    gains: dict[int, list[int]] = field(default_factory=dict)
-    settled: dict[str, str] = field(default_factory=dict)
-    _carried: int = 0  # [counts] largest current when `reduced_limit` began
-    _recent: deque[int] = field(default_factory=lambda: deque(maxlen=READINGS_MIN))
-
-    @property
-    def model(self) -> ServoModel:
-        """Its model."""
-        return self.wires[0].model
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of its inputs."""
-        return tuple(wire.name for wire in self.wires)
+    def __init__(self, identity: int, wires: tuple[MotorWire, ...], mode: str) -> None:
+        """Know no reading of it yet."""
+        self.identity, self.wires, self.mode = identity, wires, mode
+        self.model, self.names = wires[0].model, tuple(wire.name for wire in wires)
+        self.answers = True
+        self.torque_requested = self.restarted = self.tripped = False
+        self.firmware = self.errors = 0
+        self.ticks: int | None = None
+        self.current: int | None = None
+        self.velocity = 0
+        self.zero: float | None = None
+        self.voltage: float | None = None
+        self.voltage_limits = (0.0, math.inf)
+        self.temperature: float | None = None
+        self.hottest = math.inf
+        # largest current [counts], and goal positions [ticks], while the driver itself moves it
+        self.guided: tuple[int, tuple[int, int]] | None = None
+        self.reduced_limit: int | None = None  # [counts] of current since a stop in pull mode
+        self.gains: dict[int, list[int]] = {}
+        self.settled: dict[str, str] = {}
+        self._carried = 0  # [counts] largest current when `reduced_limit` began
+        self._recent: deque[int] = deque(maxlen=READINGS_MIN)
 
     def __str__(self) -> str:
         """Name it in messages."""
@@ -220,9 +209,7 @@ class Motor:
         def fault(code: str, words: str, hardware: bool = False) -> Fault:
             return Fault(code, f'{port}: {self}: {words}', hardware, self.names)
 
-        advice = 'torque is off; remove the cause, then reboot it'
-        for code, words in hardware_errors(self.errors):
-            yield fault(code, f'{words}; {advice}', True)
+        yield from latched(f'{port}: {self}', HARDWARE_ERRORS, self.errors, self.names)
         if self.restarted:
             words = 'it lost its power or its torque was switched off'
             yield fault('restarted', f'{words}; stays off until it is enabled again', True)

@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from ...common.errors import DriverError
 from ...common.processes import in_realtime
@@ -26,13 +26,13 @@ from .bus import Bus
 from .config import DynamixelConfig
 from .control_table import (
     GAINS,
+    HARDWARE_ERRORS,
     INSTEAD,
     MODEL_NAMES,
     REGISTERS,
     WITHOUT_CURRENT,
     Counts,
     OperatingMode,
-    hardware_errors,
 )
 from .motor import HEALTH, STATE, Motor
 
@@ -54,8 +54,7 @@ POLL_PERIODS = {
 }
 
 
-@dataclass(frozen=True)
-class Setting:
+class Setting(NamedTuple):
     """
     Required value of a register that affects motion, before the torque comes on.
 
@@ -359,7 +358,7 @@ def torque_on(bus: Bus, motors: Collection[Motor], mode: int, watchdog: int) -> 
     for motor in motors:
         errors = bus.read(motor.identity, 'hardware_error_status')
         if errors:
-            words = ', '.join(text for _, text in hardware_errors(errors))
+            words = ', '.join(text for bit, text in HARDWARE_ERRORS.items() if errors & bit)
             raise DriverError(f'{bus.path}: {motor}: {words}; remove the cause, then reboot it')
         must_write(bus, motor, 'torque_enable', 0)
         settle(bus, motor, mode)
@@ -376,17 +375,26 @@ def torque_on(bus: Bus, motors: Collection[Motor], mode: int, watchdog: int) -> 
         must_write(bus, motor, 'bus_watchdog', watchdog)
 
 
+def send_currents(bus: Bus, currents: Mapping[Motor, int]) -> None:
+    """Send goal currents [counts], within the bounds of each motor."""
+    goals = {motor.identity: current for motor, current in currents.items()}
+    bus.send_goals('goal_current', goals, {m.identity: m.current_bounds for m in currents})
+
+
+def send_positions(bus: Bus, positions: Mapping[Motor, int]) -> None:
+    """Send goal positions [ticks], within the bounds of each motor."""
+    goals = {motor.identity: ticks for motor, ticks in positions.items()}
+    bus.send_goals('goal_position', goals, {m.identity: m.position_bounds for m in positions})
+
+
 def hold(bus: Bus, motors: Collection[Motor], mode: int) -> None:
     """Make the present state the goal: the measured current, or the measured position."""
     chosen = [motor for motor in motors if motor.ticks is not None]
-    bounds = {motor.identity: motor.current_bounds for motor in chosen}
     if mode == OperatingMode.CURRENT:
-        currents = {motor.identity: motor.current or 0 for motor in chosen}
-        bus.send_goals('goal_current', currents, bounds)
+        send_currents(bus, {motor: motor.current or 0 for motor in chosen})
         return
     if mode == OperatingMode.CURRENT_BASED_POSITION:
-        largest = {identity: high for identity, (_, high) in bounds.items()}
-        bus.send_goals('goal_current', largest, bounds)
+        send_currents(bus, {motor: motor.current_bounds[1] for motor in chosen})
     ticks = {motor.identity: motor.ticks or 0 for motor in chosen}
     bus.send_goals('goal_position', ticks, {i: (goal, goal) for i, goal in ticks.items()})
 
@@ -452,7 +460,6 @@ def recover_watchdog(bus: Bus, motor: Motor, mode: int, watchdog: int, tripped: 
     motor.tripped = False
 
 
-@dataclass
 class Watch:
     """
     Polls of registers beside the state, one kind per cycle, whichever is most overdue.
@@ -462,12 +469,13 @@ class Watch:
     another read may look like it.
     """
 
-    bus: Bus
-    mode: int  # operating mode, address 11
-    watchdog: int = 0  # address 98
-    due: dict[str, float] = field(default_factory=dict)
-    tripped: list[Motor] = field(default_factory=list)  # whose watchdog had tripped at this poll
-    _reported: float = -math.inf
+    def __init__(self, bus: Bus, mode: int) -> None:
+        """Take the operating mode, address 11."""
+        self.bus, self.mode = bus, mode
+        self.watchdog = 0  # address 98
+        self.due: dict[str, float] = {}
+        self.tripped: list[Motor] = []  # whose watchdog had tripped at this poll
+        self._reported = -math.inf
 
     def poll(self, motors: list[Motor], now: float) -> None:
         """Do the most overdue poll, if any, for the servos that answer."""

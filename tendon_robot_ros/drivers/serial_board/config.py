@@ -11,12 +11,10 @@ import datetime
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...common.arrays import Floats, Ints
 from ...common.errors import InputError
 from ...common.yaml_reading import ConfigFields
 from ...robot import Robot
@@ -24,8 +22,7 @@ from .. import hardware
 from .messages import RELEASES, Protocol
 
 
-@dataclass(frozen=True)
-class Cell:
+class Cell(NamedTuple):
     """
     Calibration of a load cell: tension = (counts - zero) * newtons_per_count.
 
@@ -48,15 +45,13 @@ class Cell:
     slope_error: float = 0.0
     scatter: float = 0.0
 
-    def uncertainty(self, tension: Floats) -> Floats:
-        """Return the standard uncertainty [N] at tensions [N], any shape."""
+    def uncertainty(self, tension: float) -> float:
+        """Return the standard uncertainty [N] at a tension [N]."""
         fixed = self.newtons_per_count * math.hypot(self.zero_error, self.scatter)
-        relative = self.slope_error / self.newtons_per_count
-        return np.hypot(fixed, relative * tension)
+        return math.hypot(fixed, self.slope_error / self.newtons_per_count * tension)
 
 
-@dataclass(frozen=True)
-class CountsPoint:
+class CountsPoint(NamedTuple):
     """Counts with one weight: tension [N], mean and standard deviation [counts]."""
 
     tension: float
@@ -74,15 +69,14 @@ def fit_counts(points: Sequence[CountsPoint]) -> Cell:
         Too few different weights, or counts that do not change with the weight.
 
     """
-    tensions = np.array([point.tension for point in points])
-    counts = np.array([point.mean for point in points])
+    tensions, counts, spreads = np.array(points).T
     different = len(np.unique(tensions))
     if different < hardware.WEIGHTS_MIN:
         raise InputError(
             f'calibration: expected at least {hardware.WEIGHTS_MIN - 1} different weights besides '
             f'none, got {different - 1}'
         )
-    noise = math.sqrt(float(np.mean([point.spread**2 for point in points])))
+    noise = math.sqrt(float(np.mean(spreads**2)))
     line = hardware.fit_line(tensions, counts, noise)
     if abs(line.slope) * float(np.ptp(tensions)) < 5.0 * line.scatter or line.slope == 0.0:
         raise InputError(
@@ -107,7 +101,7 @@ def cell_mapping(cell: Cell, points: Sequence[CountsPoint]) -> dict[str, Any]:
         'zero_error': round(cell.zero_error, 2),
         'slope_error': float(f'{cell.slope_error:.3g}'),
         'scatter': round(cell.scatter, 2),
-        'uncertainty': float(f'{cell.uncertainty(np.array(heaviest)):.3g}'),
+        'uncertainty': float(f'{cell.uncertainty(heaviest):.3g}'),
         'tensions': [round(point.tension, 4) for point in points],
         'date': datetime.date.today().isoformat(),
     }
@@ -209,16 +203,6 @@ class BoardConfig(hardware.PortConfig):
     def period(self) -> float:
         """Time between two telemetries [s]."""
         return 1.0 / self.telemetry_rate
-
-    @cached_property
-    def places(self) -> Ints:
-        """Channel (m,) of every input."""
-        return np.array([tendon.channel for tendon in self.tendons])
-
-    @cached_property
-    def counted(self) -> Floats:
-        """Metres (m,) that the board counts per metre of wire, of every input."""
-        return np.array([tendon.counted for tendon in self.tendons])
 
 
 FIELDS = (field.name for field in fields(BoardConfig) if field.name != 'source')

@@ -18,9 +18,9 @@ from ...common.arrays import Bools, Floats
 from ...common.errors import DriverError, MovedError
 from ...robot import Robot
 from ..hardware import STANDING_S
-from ..interface import CYCLE_S, Fault, travelled
+from ..interface import CYCLE_S, Fault, latched, travelled
 from ..safety import CYCLE_MAX_S
-from ..serial_port import ANSWER_TIMEOUT_S, PortDriver, PortLostError
+from ..serial_port import ANSWER_TIMEOUT_S, PortDriver, PortLostError, lost_while
 from . import messages
 from .config import BoardConfig, read_config
 from .link import BoardLink
@@ -48,9 +48,12 @@ class SerialDriver(PortDriver):
 
     def __init__(self, robot: Robot, config: BoardConfig, mode: str) -> None:
         """Take robot, checked configuration, and `tension` or `pull`."""
-        link = BoardLink(config.port, config.baudrate)
-        super().__init__(robot, mode, config, link, config.tendons)
+        super().__init__(robot, mode, config, config.tendons)
+        self.link = BoardLink(config.port, config.baudrate)
         self.released_after = config.command_timeout
+        # (m,) each: channel of every input; metres that the board counts per metre of its wire
+        self._places = np.array([tendon.channel for tendon in config.tendons])
+        self._counted = np.array([tendon.counted for tendon in config.tendons])
         self.telemetry: Telemetry | None = None
         self.zero = np.full(len(self.inputs), np.nan)  # [m] on the board where pull is 0
         # (m,) each: the driver has switched the torque on; the board has switched it off
@@ -64,7 +67,7 @@ class SerialDriver(PortDriver):
         self.link.let_go()
         self.link.ask(Message.CLEAR, b'\xff')
         self.zero[:] = np.nan  # anybody may have turned the spools since it was closed
-        self.link.configure(self.config, np.nan_to_num(self.zero))
+        self.link.configure(self.config)
         if self._receive(1.0) is None:
             raise DriverError(f'{self.config.port}: no telemetry; check the baud rate')
         self._zero_in_place()
@@ -72,8 +75,7 @@ class SerialDriver(PortDriver):
 
     def _check_motors(self) -> None:
         self.read_fresh()
-        if latched := self._latched_faults():
-            raise DriverError('; '.join(fault.message for fault in latched))
+        self._refuse_latched()
 
     def _slack_unknown(self) -> bool:
         return not bool(np.isfinite(self.zero).all())
@@ -103,15 +105,10 @@ class SerialDriver(PortDriver):
         self._require_open('reboot')
         chosen = self._chosen(inputs)
         self.disable(inputs)
-        try:
+        with lost_while('clearing faults'):
             self.link.ask(Message.CLEAR, self._mask(chosen))
             self.read_fresh()
-        except PortLostError as error:
-            raise DriverError(f'{error}: lost while clearing faults') from None
-        latched = self._latched_faults()
-        remaining = [f.message for f in latched if not inputs or f.inputs[0] in inputs]
-        if remaining:
-            raise DriverError('; '.join(remaining))
+        self._refuse_latched(inputs)
 
     def describe(self) -> dict[str, str]:
         """Return facts about board and link."""
@@ -120,7 +117,7 @@ class SerialDriver(PortDriver):
             'port': config.port,
             'baud_rate (1/s)': str(config.baudrate),
             'frames_missed': str(self.link.missed),
-            'frames_bad': str(self.link.bad),
+            'frames_bad': str(self.link.receiver.bad),
             'silence_until_release (s)': f'{config.command_timeout:g}',
             'release_to': config.release_to,
         }
@@ -133,7 +130,7 @@ class SerialDriver(PortDriver):
             if telemetry is not None:
                 facts[f'{tendon}: current (A)'] = f'{telemetry.currents[tendon.channel]:.3f}'
             if tendon.cell is not None:
-                doubt = float(tendon.cell.uncertainty(np.array(tendon.tension_limit)))
+                doubt = tendon.cell.uncertainty(tendon.tension_limit)
                 facts[f'{tendon}: tension_uncertainty (N)'] = f'{doubt:.2g}'  # at its limit
         return facts
 
@@ -147,10 +144,10 @@ class SerialDriver(PortDriver):
 
     def command(self, mode: str, goal: Floats) -> None:
         """Send one command, shape (m,) [N] or [m], to all channels in one frame."""
-        values, config = np.zeros(self.link.channels), self.config
+        values = np.zeros(self.link.channels)
         if mode == 'pull':
-            goal = config.counted * (goal + np.nan_to_num(self.zero))
-        values[config.places] = goal
+            goal = self._counted * (goal + np.nan_to_num(self.zero))
+        values[self._places] = goal
         self.link.send(Message.COMMAND, messages.command(mode, values))
 
     def _reopened(self) -> None:
@@ -173,21 +170,19 @@ class SerialDriver(PortDriver):
 
     def _pulls(self) -> Floats:
         """Return wire pulls from the zero, shape (m,) [m]; nan where the encoder has a fault."""
-        pulls: Floats = self._board_pulls(ChannelFault.ENCODER) - np.nan_to_num(self.zero)
-        return pulls
+        return np.asarray(self._board_pulls(ChannelFault.ENCODER) - np.nan_to_num(self.zero))
 
     def _channels(self, name: str, fault: int) -> Floats:
         """Return a value of the telemetry, shape (m,); nan where a channel has the fault."""
         if self.telemetry is None:
             return np.full(len(self.inputs), np.nan)
-        places = self.config.places
-        values: Floats = np.array(getattr(self.telemetry, name)[places], dtype=float)
-        values[self.telemetry.faults[places] & fault != 0] = np.nan
+        values: Floats = np.array(getattr(self.telemetry, name)[self._places], dtype=float)
+        values[self.telemetry.faults[self._places] & fault != 0] = np.nan
         return values
 
     def _mask(self, which: Bools) -> bytes:
         """Return a byte with a bit for the channel of each input that is chosen, shape (m,)."""
-        return bytes((int(np.bitwise_or.reduce(1 << self.config.places[which], initial=0)),))
+        return bytes((int(np.bitwise_or.reduce(1 << self._places[which], initial=0)),))
 
     def _faults(self) -> tuple[Fault, ...]:
         """Return the present faults."""
@@ -208,19 +203,18 @@ class SerialDriver(PortDriver):
         """Return the faults that the board has latched."""
         if self.telemetry is None:
             return []
-        advice = 'torque is off; remove the cause, then reboot it'
-        latched = self.telemetry.faults[self.config.places]
-        return [
-            Fault(
-                str(bit.name).lower(),
-                f'{self.config.port}: {tendon}: {words}; {advice}',
-                True,
-                (tendon.name,),
-            )
-            for tendon, bits in zip(self.config.tendons, latched, strict=True)
-            for bit, words in CHANNEL_FAULTS.items()
-            if bits & bit
-        ]
+        faults: list[Fault] = []
+        for tendon in self.config.tendons:
+            where, bits = f'{self.config.port}: {tendon}', self.telemetry.faults[tendon.channel]
+            faults += latched(where, CHANNEL_FAULTS, int(bits), (tendon.name,))
+        return faults
+
+    def _refuse_latched(self, inputs: Sequence[str] = ()) -> None:
+        """Raise DriverError with the faults that the board has latched, for some inputs or all."""
+        faults = self._latched_faults()
+        remaining = [f.message for f in faults if not inputs or f.inputs[0] in inputs]
+        if remaining:
+            raise DriverError('; '.join(remaining))
 
     def _converse(self, now: float) -> None:
         """Take the newest telemetry; act on what the board did by itself."""
@@ -241,10 +235,10 @@ class SerialDriver(PortDriver):
             # motors stay off
             self.restarted |= self.torque_requested
             self.zero[:] = np.nan
-            self.link.configure(self.config, np.nan_to_num(self.zero))
+            self.link.configure(self.config)
             newest = self._receive(ANSWER_TIMEOUT_S) or newest
-        enabled = np.array([newest.enabled >> i & 1 for i in self.config.places], dtype=bool)
-        healthy = newest.faults[self.config.places] == 0
+        enabled = np.array([newest.enabled >> i & 1 for i in self._places], dtype=bool)
+        healthy = newest.faults[self._places] == 0
         self.restarted |= self.torque_requested & ~enabled & healthy
         silent = bool(newest.flags & BoardFlag.SILENCE)
         self._tripped = silent and bool(self.torque_requested.any())
@@ -282,7 +276,7 @@ class SerialDriver(PortDriver):
         DriverError
             The board refuses before anything has moved.
         """
-        channels, travel = self.config.places.tolist(), self.config.home_travel
+        channels, travel = self._places.tolist(), self.config.home_travel
         distances, start = travelled(self.config.port), self._board_pulls()
         origin = start - np.array([distances.get(channel, 0.0) for channel in channels])
         try:
@@ -308,8 +302,7 @@ class SerialDriver(PortDriver):
                 off_target = ~(np.abs(self.measured_tensions() - goal) < TENSION_TOLERANCE * goal)
                 if off_target.any():
                     steady = time.monotonic()
-                if faults := self._latched_faults():
-                    raise DriverError('; '.join(fault.message for fault in faults))
+                self._refuse_latched()
                 reach = config.home_travel - TRAVEL_TOLERANCE_M
                 self._refuse_too_far(off_target & (np.abs(self._board_pulls() - origin) > reach))
                 if time.monotonic() > deadline:
@@ -328,15 +321,14 @@ class SerialDriver(PortDriver):
             except (DriverError, PortLostError):  # on its own the board may wind to the end
                 distance = np.full(len(self.inputs), config.home_travel)
             travelled(config.port).update(
-                zip(config.places.tolist(), distance.tolist(), strict=True)
+                zip(self._places.tolist(), distance.tolist(), strict=True)
             )
             raise MovedError(f'no pull zero found: {error}') from None
         return self._board_pulls()
 
     def _board_pulls(self, fault: int = 0) -> Floats:
         """Return the wire pulls from the board's zero, (m,) [m]; nan where there is the fault."""
-        pulls: Floats = self._channels('pulls', fault) / self.config.counted
-        return pulls
+        return np.asarray(self._channels('pulls', fault) / self._counted)
 
     def _refuse_too_far(self, which: Bools) -> None:
         """Raise DriverError for inputs (m,) whose search for slack has gone too far."""

@@ -16,16 +16,10 @@ import numpy as np
 
 from ...common.arrays import Floats
 from ...common.errors import DriverError
+from .. import serial_port
 from ..hardware import READINGS_MIN, STANDING_S
 from ..interface import CYCLE_S
-from ..serial_port import (
-    ANSWER_TIMEOUT_S,
-    HICCUPS_MAX,
-    RESTART_TIMEOUT_S,
-    PortLink,
-    PortLostError,
-    write_all,
-)
+from ..serial_port import ANSWER_TIMEOUT_S, RESTART_TIMEOUT_S
 from . import messages
 from .config import BoardConfig, CountsPoint
 from .messages import Frame, FrameReceiver, Identity, Message, Protocol, Telemetry, encode
@@ -33,7 +27,7 @@ from .messages import Frame, FrameReceiver, Identity, Message, Protocol, Telemet
 RELEASE_TIME_S = 10.0  # [s] of a board left under tension, so that a slow release comes to an end
 
 
-class BoardLink(PortLink):
+class BoardLink(serial_port.PortLink):
     """
     One port with one board.
 
@@ -41,6 +35,8 @@ class BoardLink(PortLink):
     ----------
     identity : Identity or None
         Of the board, None before it was identified.
+    receiver : FrameReceiver
+        Cuts the bytes of the board into frames; counts those that are invalid.
     missed : int
         Frames of the board that were lost, by their sequence numbers.
     sent_at : float
@@ -56,7 +52,7 @@ class BoardLink(PortLink):
         """Take the path of the port and its baud rate."""
         super().__init__(path, baud)
         self.missed, self.sent_at = 0, -1e9
-        self._receiver = FrameReceiver()
+        self.receiver = FrameReceiver()
         self._sequence = 0
         self._expected: int | None = None
         self.identity: Identity | None = None
@@ -66,21 +62,16 @@ class BoardLink(PortLink):
         """Number of channels of the board, 0 before it was identified."""
         return 0 if self.identity is None else self.identity.channels
 
-    @property
-    def bad(self) -> int:
-        """Number of invalid frames that were discarded."""
-        return self._receiver.bad
-
     def _open(self) -> None:
         super()._open()
-        self._receiver, self._expected = FrameReceiver(self.bad), None
+        self.receiver, self._expected = FrameReceiver(self.receiver.bad), None
 
     def send(self, kind: int, payload: bytes = b'') -> int:
         """Send a message; return its sequence number."""
         with self.conversation() as port:
             self._sequence = (self._sequence + 1) & 0xFF
             self.sent_at = time.monotonic()
-            write_all(port.fileno(), encode(kind, self._sequence, payload))
+            serial_port.write_all(port.fileno(), encode(kind, self._sequence, payload))
         return self._sequence
 
     def receive(self, wait: float) -> list[Frame]:
@@ -91,7 +82,7 @@ class BoardLink(PortLink):
             data = os.read(port.fileno(), io.DEFAULT_BUFFER_SIZE)
             if not data:
                 raise OSError('end of file')
-        frames = self._receiver.feed(data)
+        frames = self.receiver.feed(data)
         for frame in frames:
             if frame.type >= Message.IDENTITY:
                 if self._expected is not None:
@@ -114,7 +105,7 @@ class BoardLink(PortLink):
                 return frames
         return []
 
-    def ask(self, kind: int, payload: bytes, attempts: int = HICCUPS_MAX + 1) -> None:
+    def ask(self, kind: int, payload: bytes, attempts: int = serial_port.HICCUPS_MAX + 1) -> None:
         """
         Send a message until the board acknowledges it.
 
@@ -171,13 +162,13 @@ class BoardLink(PortLink):
                 last = self.channels - 1
                 raise DriverError(f'{config.source}: {wire}: the board has channels 0 to {last}')
 
-    def configure(self, config: BoardConfig, zeros: Floats) -> None:
-        """Send the board its configuration; its motors are off. `zeros`: shape (m,) [m]."""
+    def configure(self, config: BoardConfig) -> None:
+        """Send the board its configuration; its motors are off, the zeros of the wires unknown."""
         for wire in config.tendons:
             if (cell := wire.cell) is not None:
                 values = (cell.zero, cell.newtons_per_count, wire.spool.metres_per_tick)
                 self.ask(Message.CALIBRATION, messages.calibration(wire.channel, *values))
-        self.give_limits(config, zeros)
+        self.give_limits(config, np.zeros(len(config.tendons)))
         content = messages.settings(
             config.command_timeout,
             config.release_to,
@@ -246,7 +237,7 @@ class BoardLink(PortLink):
         """
         counts: list[float] = []
         began = time.monotonic()
-        try:
+        with serial_port.lost_while('calibrating'):
             while (passed := time.monotonic() - began) < STANDING_S + seconds:
                 self.send(Message.RAW)
                 for frame in self.wait_for(Message.RAW_CELLS, ANSWER_TIMEOUT_S):
@@ -254,8 +245,6 @@ class BoardLink(PortLink):
                     if cells is not None and passed > STANDING_S:
                         counts.append(float(cells[channel]))
                 time.sleep(CYCLE_S)
-        except PortLostError as error:
-            raise DriverError(f'{error}: lost while calibrating') from None
         where, values = f'{self.path}: channel {channel}', np.array(counts)
         values = values[np.diff(values, prepend=np.nan) != 0.0]  # the same value, read twice
         if len(values) < READINGS_MIN:

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import binascii
 import struct
-from dataclasses import dataclass
 from enum import IntEnum, IntFlag
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,8 +101,7 @@ CHANNEL_FAULTS = {
 }
 
 
-@dataclass(frozen=True)
-class Frame:
+class Frame(NamedTuple):
     """Content of a valid frame."""
 
     version: int
@@ -197,8 +196,7 @@ class FrameReceiver:
         return frames
 
 
-@dataclass(frozen=True)
-class Identity:
+class Identity(NamedTuple):
     """Who answers: protocol version, number of channels, firmware version."""
 
     version: int
@@ -206,8 +204,7 @@ class Identity:
     firmware: int
 
 
-@dataclass(frozen=True)
-class Telemetry:
+class Telemetry(NamedTuple):
     """
     What the board measured at one moment.
 

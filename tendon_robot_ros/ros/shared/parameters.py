@@ -307,10 +307,7 @@ def read_config(text: str) -> dict[str, Any]:
 
 def parsed(text: str, what: str, kind: type, expected: str = '') -> Any:
     """Parse YAML text as a list or dict, empty for no text; InputError: it is something else."""
-    try:
-        value = parse_yaml(text)
-    except ValueError as error:
-        raise InputError(f'{what}: not valid YAML: {error}') from None
+    value = parse_yaml(text, lambda reason: InputError(f'{what}: not valid YAML: {reason}'))
     if value is None:
         return kind()
     if not isinstance(value, kind):
