@@ -32,26 +32,13 @@ from ..inference.statistics import half_width
 from ..report import comparison as say
 from ..report import diagnosis_text
 from ..report.error_plots import angles, tip_boxes
-from ..report.page import (
-    Figure,
-    Page,
-    axes,
-    curve,
-    error_bars,
-    mm_list,
-    plain,
-    titled,
-)
+from ..report.page import Figure, Page, axes, curve, error_bars, mm_list, plain, titled
 from ..report.sentences import interval_name
 from ..report.workspace_page import FAMILY_COLUMNS, rows, view_figures
 from ..robot import Robot, load_robot
 from .friction import SlipFriction
 from .paper_motion import Assumed, MotionExperiment, Published
-from .paper_postures import (
-    DisplacementExperiment,
-    SmallExperiment,
-    TensionExperiment,
-)
+from .paper_postures import DisplacementExperiment, SmallExperiment, TensionExperiment
 
 HELP = "the paper's experiments, published numbers beside ours, on one page"
 PAPER_ROBOTS = ('kato_1_1', 'kato_10_1', 'kato_10_1_single', 'kato_2_1')

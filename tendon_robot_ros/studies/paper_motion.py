@@ -12,13 +12,7 @@ from ..common.rotations import turned_in_plane
 from ..model.model import Model
 from ..robot import Robot
 from ..simulation.measurements import SimulatedNoise
-from ..workspace.view_angle import (
-    POSTURES_PER_SIDE,
-    Family,
-    Pair,
-    Workspace,
-    bisect,
-)
+from ..workspace.view_angle import POSTURES_PER_SIDE, Family, Pair, Workspace, bisect
 
 
 class Published:
