@@ -335,10 +335,11 @@ def test_a_visible_effect_that_is_left_possible_keeps_the_question_open():
 def test_postures_keep_out_of_a_region_on_their_whole_way():
     robot = load_robot(KATO)
     model, goal = Model(robot), Goal()
-    everywhere = pool(robot, goal, 'tension', 'from_straight', model, Room())
+    empty = empty_dataset(SimulatedArm(make_plant(robot, {}, scatter=0.0)), 'none', 1)
+    everywhere = pool(model, goal, Room(), empty)
     tips = model.shapes(everywhere).tip_position
     away = KeepOut((Region('lamp', Sphere(tuple(tips[10].tolist()), 0.03)),))
-    kept = pool(robot, goal, 'tension', 'from_straight', model, Room(away, 0.005))
+    kept = pool(model, goal, Room(away, 0.005), empty)
     assert 0 < len(kept) < len(everywhere)
     low = robot.tension_limits[0]
     for share in np.linspace(0.0, 1.0, 37):

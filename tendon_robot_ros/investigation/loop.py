@@ -33,7 +33,7 @@ from ..model.model import Model
 from ..monitoring.change import ChangeFinder
 from ..report.diagnosis_page import diagnosis_page, pictures_of, with_effects
 from ..report.diagnosis_text import addition_warnings, lines, never_used
-from ..robot import Robot, dump_robot
+from ..robot import dump_robot
 from ..robot.estimates import MODEL_ERROR_MAX, natural_sizes
 from ..robot.keep_out import KeepOut
 from . import measuring
@@ -175,10 +175,7 @@ class Investigation:
             if self.arm.path == 'sequence':  # the next one depends on where this one was
                 count = 1
             offered, count = self.offered(), min(count, self.goal.postures - have)
-            choices = list[tuple[Floats, float]]()
-            if len(offered):
-                question, dataset = self.question(), self.record.dataset
-                choices = choose(question, dataset, offered, self.catalogue, count)
+            choices = choose(self.question(), self.record.dataset, offered, self.catalogue, count)
             gain = choices[0][1] if choices else 0.0
             least = NARROWING_MIN if have >= NARROWING_FROM else GAIN_MIN
             if twice(Verdict.ADEQUATE, self.record.rounds) and gain < least:
@@ -194,12 +191,7 @@ class Investigation:
 
     def offered(self) -> Floats:
         """Return the postures (b, m) [N] or [m] that may be chosen now."""
-        dataset, robot = self.record.dataset, self.guess
-        start = None
-        if self.arm.path == 'sequence' and len(dataset.postures):
-            start = dataset.inputs[-1]
-        model, room = Model(robot, self.catalogue), self.measurer.room
-        rows = pool(robot, self.goal, self.arm.input, self.arm.path, model, room, start)
+        rows = pool(self.guess, self.goal, self.measurer.room, self.record.dataset)
         return self.measurer.untried(rows)
 
     def question(self) -> OpenQuestion:
@@ -230,10 +222,11 @@ class Investigation:
         return names
 
     @property
-    def guess(self) -> Robot:
-        """The description with the effects of the last diagnosis."""
+    def guess(self) -> Model:
+        """The model with the effects of the last diagnosis."""
         robot, known = self.arm.robot, self.diagnosis
-        return robot if known is None else with_effects(known, robot, self.catalogue)
+        better = robot if known is None else with_effects(known, robot, self.catalogue)
+        return Model(better, self.catalogue)
 
     def shows(self, effect: Effect) -> bool:
         """Return whether an effect has any influence on this arm, if it is not at some place."""
@@ -330,8 +323,7 @@ class Investigation:
     def measure_fresh(self) -> DataSet | None:
         """Measure random postures that no choice has selected."""
         self.arm.release()
-        model = Model(self.guess, self.catalogue)
-        rows = fresh(self.arm.robot, self.goal, self.arm.input, model, self.measurer.room)
+        rows = fresh(self.arm.robot, self.goal, self.arm.input, self.guess, self.measurer.room)
         check = measuring.empty_dataset(self.arm, measuring.CHECK, self.measurer.trials)
         for row in rows:
             if len(check.postures) == self.goal.checks:
