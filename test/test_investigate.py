@@ -173,8 +173,12 @@ def found(tmp_path_factory):
     folder = tmp_path_factory.mktemp('investigation') / 'found'
     said = []
     subject = arm({'hinge_friction': {}}, lost=0.25)
-    made = Investigation(subject, Goal(tension_max=0.8), folder, report=said.append).run()
-    return subject, made, folder, [news.text for news in said]
+
+    def report(kind, text, content):
+        said.append(text)
+
+    made = Investigation(subject, Goal(tension_max=0.8), folder, report=report).run()
+    return subject, made, folder, said
 
 
 @pytest.mark.long
@@ -310,7 +314,7 @@ def test_adequate_is_not_said_while_an_effect_may_move_the_tip_unseen():
     subject = arm({'pre_curvature': {'angle_x': 0.004}}, seed=102)
     said = []
     goal = Goal(postures=6, checks=0)
-    made = Investigation(subject, goal, report=lambda news: said.append(news.text)).run()
+    made = Investigation(subject, goal, report=lambda kind, text, _: said.append(text)).run()
     first, last = made.record.rounds[0], made.record.rounds[-1]
     assert first.verdict == 'adequate' and 'pre_curvature' in first.possible
     assert any('adequate, but not excluded: ' in text for text in said)

@@ -94,7 +94,7 @@ class Investigation:
         goal: Goal,
         folder: Path | None = None,
         regions: KeepOut | None = None,
-        report: measuring.Report = lambda news: None,
+        report: measuring.Report = lambda kind, text, content: None,
         resume: bool = False,
         change: ChangeFinder | None = None,
     ) -> None:
@@ -110,7 +110,7 @@ class Investigation:
         regions : KeepOut, optional
             Where no part of the arm may be.
         report : callable, optional
-            Called with every `News`.
+            Called with every event: see `Report`.
         resume : bool
         change : ChangeFinder, optional
             The change detector of a drift alarm: its suspects are separated first.
@@ -281,9 +281,7 @@ class Investigation:
         outcome = settled(diagnosis, self.record.rounds, self.goal)
         width = '' if now.widest is None else f', to {100.0 * now.widest:.0f} %'
         text = f'  {now.postures} postures: {now.text}{width}{may_act(now)}'
-        self.report(
-            measuring.News('diagnosis', text, {**vars(now), 'enough': outcome is not None})
-        )
+        self.report('diagnosis', text, {**vars(now), 'enough': outcome is not None})
         return outcome
 
     def report_end(self, outcome: InvestigationEnd) -> None:
@@ -298,7 +296,7 @@ class Investigation:
             sentence += may_act(record.rounds[-1])
         if record.skipped:
             sentence += f'; {len(record.skipped)} could not be measured'
-        self.report(measuring.News('end', sentence, record.outcome))
+        self.report('end', sentence, record.outcome)
 
     def verified(self, outcome: InvestigationEnd) -> Findings:
         """Fit the named effects, and compute their error on fresh postures."""
@@ -310,13 +308,12 @@ class Investigation:
         check = self.measure_fresh() if self.goal.checks else None
         names = [effect.name for effect in diagnosis.effects]
         addition = add_effects(dataset, names, None, self.catalogue, check, diagnosis.effects)
+        before, after = addition.check.before, addition.check.after
         self.report(
-            measuring.News(
-                'added',
-                f'{listed(names)}: error on {"fresh" if check else "left-out"} postures '
-                f'{1e3 * addition.check.before:.2f} -> {1e3 * addition.check.after:.2f} mm',
-                {'before': addition.check.before, 'after': addition.check.after, 'names': names},
-            )
+            'added',
+            f'{listed(names)}: error on {"fresh" if check else "left-out"} postures '
+            f'{1e3 * before:.2f} -> {1e3 * after:.2f} mm',
+            {'before': before, 'after': after, 'names': names},
         )
         return Findings(outcome, diagnosis, dataset, self.record, addition, check)
 
@@ -331,9 +328,7 @@ class Investigation:
             measured = self.measurer.attempted(row)
             if measured is not None:
                 check = measuring.with_posture(check, row, measured, self.arm.position_noise)
-                self.report(
-                    measuring.News('check', f'  fresh posture {len(check.postures)} measured')
-                )
+                self.report('check', f'  fresh posture {len(check.postures)} measured', {})
         return check if len(check.postures) else None
 
 

@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     folder = Path(args.output)
     narrate(args, f'hidden:  {", ".join(args.hidden) or "nothing"}')
     investigation = Investigation(
-        arm, goal, folder, regions, lambda news: narrate(args, news.text), args.resume
+        arm, goal, folder, regions, lambda kind, text, content: narrate(args, text), args.resume
     )
     findings = investigation.run()
     lines = write_results(findings, folder, investigation.catalogue, goal.add)
