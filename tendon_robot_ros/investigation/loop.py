@@ -40,7 +40,6 @@ from . import measuring
 from .choice import OpenQuestion, Room, choose, fresh, pool
 from .goal import (
     IN_QUESTION_MAX,
-    SENTENCES,
     Goal,
     InvestigationEnd,
     Round,
@@ -258,13 +257,11 @@ class Investigation:
 
         diagnosis = diagnose(dataset, None, self.catalogue, progress=attend)
         self.diagnosis = diagnosis
-        length, unexcluded = self.arm.robot.length, dict[str, float]()
+        length = self.arm.robot.length
         if diagnosis.verdict.judged and np.isfinite(diagnosis.error_after):
             # as far from the regions as the best model is off (3 sd), but no farther than before
             margin = min(3.0 * diagnosis.error_after, MODEL_ERROR_MAX * length)
             self.measurer.room = Room(self.measurer.room.regions, margin)
-        if diagnosis.verdict is Verdict.ADEQUATE:
-            unexcluded = possible(diagnosis, dataset, self.catalogue, self.goal.visible * length)
         now = Round(
             len(dataset.postures),
             str(diagnosis.verdict),
@@ -272,7 +269,7 @@ class Investigation:
             in_question(diagnosis),
             widest(diagnosis, self.catalogue),
             short(diagnosis),
-            unexcluded,
+            possible(diagnosis, dataset, self.catalogue, self.goal.visible * length),
         )
         # an earlier one of the same postures confirms nothing: none came, or it was resumed
         earlier = [one for one in self.record.rounds if one.postures < now.postures]
@@ -291,7 +288,7 @@ class Investigation:
             named = [one['name'] for one in record.changed]
         postures = len(record.dataset.postures)
         record.outcome = {'why': str(outcome), 'names': named, 'postures': postures}
-        sentence = f'{postures} postures: {SENTENCES[outcome]}'
+        sentence = f'{postures} postures: {outcome.sentence}'
         if record.rounds:
             sentence += may_act(record.rounds[-1])
         if record.skipped:
