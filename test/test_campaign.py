@@ -20,10 +20,10 @@ from tendon_robot_ros.studies import campaign, judge
 from tendon_robot_ros.studies.campaign import robot_rows, summary
 from tendon_robot_ros.studies.cases import (
     Case,
-    Chance,
     Design,
     hidden_values,
     is_visible,
+    seeds_of,
     simulated,
 )
 from tendon_robot_ros.studies.judge import (
@@ -154,10 +154,10 @@ def test_a_plan_with_a_mistake_is_refused_in_one_line(change, message):
 
 def test_chance_depends_on_the_case_and_not_on_the_design():
     one = Case('arm', 'tip_load', 0.3, 4)
-    assert Chance.of(one, 0) == Chance.of(replace(one, design=3, level=0.0), 0)
-    others = [Chance.of(one, 1), Chance.of(replace(one, number=5), 0),
-              Chance.of(replace(one, size=0.4), 0)]  # fmt: skip
-    assert len({Chance.of(one, 0), *others}) == 4
+    assert seeds_of(one, 0) == seeds_of(replace(one, design=3, level=0.0), 0)
+    others = [seeds_of(one, 1), seeds_of(replace(one, number=5), 0),
+              seeds_of(replace(one, size=0.4), 0)]  # fmt: skip
+    assert len({seeds_of(one, 0), *others}) == 4
 
 
 def test_what_is_hidden_grows_with_its_size_and_sections_differ():

@@ -34,21 +34,9 @@ from ..diagnosis.verdict import Verdict
 from ..model.versions import Preparation
 from ..report.page import Figure, Page, Trace, axes, curve, error_bars, titled, trace
 from ..simulation.hidden import CAUSES
+from . import judge
 from .cases import NOTHING
-from .judge import (
-    NAMING,
-    CaseRow,
-    Power,
-    Rate,
-    confusion,
-    coverage,
-    grouped,
-    methods,
-    powers,
-    rates,
-    rates_by_robot,
-    to_json,
-)
+from .judge import NAMING, CaseRow, Power, Rate, grouped
 from .plan import earlier_rows, read_plan, run_plan, table_of
 
 HELP = 'simulate and diagnose many robots: what would be seen, how often is it right'
@@ -91,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         print(f'stopped: {there}; the same command goes on from there', file=sys.stderr)
         return ExitCode.INTERRUPTED
     lines = [*summary(rows), *power_lines(rows), *mixed, f'written: {folder}/table, {page}']
-    emit(args, to_json(rows), '\n'.join(lines))
+    emit(args, judge.to_json(rows), '\n'.join(lines))
     return 0
 
 
@@ -139,7 +127,7 @@ def hidden_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
 
 def rate_lines(rows: Sequence[CaseRow]) -> list[str]:
     """Describe the rates that have cases."""
-    return [f'{name}: {rate}' for name, rate in rates(rows).items() if rate.runs]
+    return [f'{name}: {rate}' for name, rate in judge.rates(rows).items() if rate.runs]
 
 
 def summary(rows: Sequence[CaseRow]) -> list[str]:
@@ -163,10 +151,10 @@ def summary(rows: Sequence[CaseRow]) -> list[str]:
 
 def robot_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
     """Return the rates robot by robot, with a header; nothing where there is one robot."""
-    by_robot = rates_by_robot(rows)
+    by_robot = judge.rates_by_robot(rows)
     if len(by_robot) < 2:
         return []
-    names = [name for name, rate in rates(rows).items() if rate.runs]
+    names = [name for name, rate in judge.rates(rows).items() if rate.runs]
     lines = [[name, *(str(each[name]) for each in by_robot.values())] for name in names]
     return [['by robot', *by_robot], *lines]
 
@@ -201,7 +189,7 @@ def power_lines(rows: Sequence[CaseRow]) -> list[str]:
     return [
         f'{power.robot}: {power.hidden}{f" ({power.way})" if power.way else ""}: '
         f'named {smallest_text(power)}'
-        for power in powers(rows)
+        for power in judge.powers(rows)
     ]
 
 
@@ -224,7 +212,7 @@ def campaign_page(
 
     page.heading('Which size of an effect is seen')
     page.text(NAMED)
-    curves = grouped(powers(rows), lambda power: power.hidden)
+    curves = grouped(judge.powers(rows), lambda power: power.hidden)
     page.figures([power_figure(name, members) for name, members in curves.items()], 'many')
     header: Sequence[str] = ('robot', 'effect', 'measured so', 'named in four of five cases')
     members = chain.from_iterable(curves.values())
@@ -248,7 +236,7 @@ def campaign_page(
 def cost_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
     """Return a row per method of measurement over the same arms: rates and computing time."""
     table = []
-    for way, members in grouped(rows, methods(rows)).items():
+    for way, members in grouped(rows, judge.methods(rows)).items():
         hidden = [row for row in members if row.hidden not in (NOTHING, *CAUSES)]
         counted = (
             Rate.of(row.alarm for row in hidden),
@@ -285,7 +273,7 @@ def rate_bars(counted: Sequence[Rate]) -> dict[str, Any]:
 
 def confusion_figure(rows: Sequence[CaseRow]) -> Figure:
     """Draw the verdicts over the hidden effects (confusion matrix)."""
-    hidden, words, counts = confusion(rows)
+    hidden, words, counts = judge.confusion(rows)
     heat = {
         'type': 'heatmap',
         'x': words,
@@ -309,7 +297,7 @@ def confusion_figure(rows: Sequence[CaseRow]) -> Figure:
 
 def coverage_figure(rows: Sequence[CaseRow]) -> Figure:
     """Draw the coverage of intervals over their nominal confidence."""
-    counted = coverage(rows)
+    counted = judge.coverage(rows)
     held = [rate for _, rate in counted]
     rates = [100.0 * (rate.share or 0.0) for rate in held]
     low = max(0.0, min([40.0, *(percentage - 15.0 for percentage in rates)]))

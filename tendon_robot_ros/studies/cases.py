@@ -119,21 +119,16 @@ class Case:
         return f'{self.robot}/{self.hidden}/{self.size:.6g}/{self.number}/{tail}{more}'
 
 
-@dataclass(frozen=True)
-class Chance:
-    """The seeds of a case: the same arm whatever the design, whoever computes it and when."""
+def seeds_of(case: Case, seed: int) -> tuple[int, ...]:
+    """
+    Return the seeds of the arm, of the measurements to fit and to check, and of what is hidden.
 
-    arm: int
-    fit: int
-    check: int
-    direction: int
-
-    @classmethod
-    def of(cls, case: Case, seed: int) -> Chance:
-        """Spawn them from the plan's seed, by what the case is."""
-        label = f'{case.robot}/{case.hidden}/{case.size:.6g}'
-        root = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(label.encode()), case.number))
-        return cls(*(int(one.generate_state(1)[0]) for one in root.spawn(4)))
+    The plan's seed and what the case is give the same arm whatever the design, whoever computes
+    it and when.
+    """
+    label = f'{case.robot}/{case.hidden}/{case.size:.6g}'
+    root = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(label.encode()), case.number))
+    return tuple(int(one.generate_state(1)[0]) for one in root.spawn(4))
 
 
 @dataclass(frozen=True)
@@ -225,15 +220,16 @@ def simulated(
         The hidden effect cannot be, or the arm has no equilibrium.
 
     """
-    robot, chance = described(case, arm, catalogue), Chance.of(case, seed)
-    values = hidden_values(case.hidden, case.size, robot, catalogue, chance.direction)
+    robot = described(case, arm, catalogue)
+    of_arm, of_fit, of_check, of_hidden = seeds_of(case, seed)
+    values = hidden_values(case.hidden, case.size, robot, catalogue, of_hidden)
     work = Workmanship().times(case.level) if case.level else None
     options: dict[str, Any] = {'refine': 1, 'capstan': False} if own_model else {}
-    options |= {'scatter': case.scatter, 'seed': chance.arm, 'catalogue': catalogue, 'work': work}
+    options |= {'scatter': case.scatter, 'seed': of_arm, 'catalogue': catalogue, 'work': work}
     plant = make_plant(robot, {} if case.hidden == NOTHING else {case.hidden: values}, **options)
     trials = design.trials if design.data is None else int(design.data.positions.shape[1])
     sets = []
-    for which, own in enumerate((chance.fit, chance.check)):
+    for which, own in enumerate((of_fit, of_check)):
         inputs, kind, path = postures_of(case, robot, design, catalogue, which)
         how: dict[str, Any] = {'input': kind, 'path': path, 'markers': design.placed(robot)}
         one = simulate(plant, inputs, noise=noise, trials=trials, seed=own, **how)
