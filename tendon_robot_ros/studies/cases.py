@@ -70,9 +70,9 @@ class Design:
 class PlannedRobot:
     """A robot of a plan."""
 
-    name: str
     robot: Robot  # as its owner describes it, with all that may be hidden
     down: tuple[float, float, float] | None = None  # [m/s²] where gravity is hidden
+    skips: tuple[str, ...] = ()  # what is not hidden in it, of all that the plan names
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,7 @@ class Setup(Study[Case, CaseRow]):
 
     def arm(self, name: str) -> PlannedRobot:
         """Return a robot by its name."""
-        return next(arm for arm in self.arms if arm.name == name)
+        return next(arm for arm in self.arms if arm.robot.name == name)
 
     def compile(self) -> None:
         """Have the kernel compiled before workers would do it side by side."""
