@@ -359,10 +359,7 @@ def write_results(findings: Findings, folder: Path, catalogue: Catalogue, add: b
         diagnosis.save(folder / RESULT)
         written.append(RESULT)
         if importlib.util.find_spec('plotly') is not None:
-            data = findings.dataset
-            found = with_effects(diagnosis, data.robot, catalogue)
-            better = found if added is None else added.robot
-            pictures = pictures_of(diagnosis, data, catalogue, better)
+            pictures = pictures_of(diagnosis, findings.dataset, catalogue, added)
             diagnosis_page(diagnosis, pictures, added).write(folder / REPORT)
             written.append(REPORT)
     if added is not None:

@@ -15,7 +15,7 @@ from ..common.words import PROGRAM, capital, columns, digits, mm, postures, prob
 from ..comparison.result import Comparison, ModelErrors
 from ..data.dataset import at_rest
 from ..diagnosis.verdict import SAME_ERROR_RATIO
-from ..inference.statistics import Estimate, PairedT
+from ..inference.statistics import PairedT
 from ..model.shape import bending_azimuth, views_of
 from .error_plots import Step, angles, loops, per_marker, per_posture, staircase, tip_boxes
 from .page import (
@@ -48,9 +48,10 @@ def table(comparison: Comparison) -> str:
 def model_rows(comparison: Comparison, first: str) -> list[list[str]]:
     """Return the errors of all models and the noise floor, a row each; the head has `first`."""
     head = [first, 'rms', 'worst', f'tip error (mean ± {interval_name(comparison)})']
+    tips = [one.tip_error(comparison.error) for one in comparison.models]
     rows = [
-        [label(one), mm(one.rms), mm(one.max), interval(one.tip_error(comparison.error))]
-        for one in comparison.models
+        [label(one), mm(one.rms), mm(one.max), interval(tip.mean, tip.half)]
+        for one, tip in zip(comparison.models, tips, strict=True)
     ]
     if comparison.noise_floor is not None:
         rows.append(['noise floor (a perfect model)', mm(comparison.noise_floor), '', ''])
@@ -93,13 +94,13 @@ def kind(effects: tuple[str, ...]) -> str:
     return f'{base} + {more[0] if len(more) == 1 else f"{len(more)} effects"}'
 
 
-def interval(value: Estimate) -> str:
-    """Show a mean and its interval in mm."""
-    if not np.isfinite(value.half):
-        return mm(value.mean)
-    half = digits(1e3 * value.half, 2)
-    places = len(half.partition('.')[2])
-    return f'{1e3 * value.mean:.{places}f} ± {half} mm'
+def interval(value: float, half: float) -> str:
+    """Show a value [m] and half its interval, or 1 sd, in mm."""
+    if not np.isfinite(half):
+        return mm(value)
+    shown = digits(1e3 * half, 2)
+    places = len(shown.partition('.')[2])
+    return f'{1e3 * value:.{places}f} ± {shown} mm'
 
 
 def where_worst(comparison: Comparison) -> str:

@@ -51,7 +51,7 @@ def pictures_of(
     diagnosis: Diagnosis,
     dataset: DataSet,
     catalogue: Catalogue | None = None,
-    changed: Robot | None = None,
+    addition: Addition | None = None,
 ) -> Pictures | None:
     """
     Compute the pictures of a diagnosis.
@@ -62,8 +62,8 @@ def pictures_of(
     dataset : DataSet
         With the description that was judged.
     catalogue : Catalogue, optional
-    changed : Robot, optional
-        The description with what was added; default: with the values that were found.
+    addition : Addition, optional
+        What was added; default: the values that were found are.
 
     Returns
     -------
@@ -74,10 +74,10 @@ def pictures_of(
     robot = dataset.robot
     models = [(BEFORE, robot)]
     if diagnosis.effects:
-        after = changed or with_effects(diagnosis, robot, catalogue)
+        after = addition.robot if addition else with_effects(diagnosis, robot, catalogue)
         name = f'with {" and ".join(effect.name for effect in diagnosis.effects)}'
         if diagnosis_text.with_arm(diagnosis):
-            name += ' alone' if changed is None else ' and the arm as found'
+            name += ' and the arm as found' if addition else ' alone'
         models.append((name, after))
     unsettled = set(diagnosis.details.get('unsettled') or ())
     if unsettled:

@@ -15,7 +15,7 @@ from ..comparison.compare import compare
 from ..data import DataSet
 from ..diagnosis.result import COLOURS, Improvement, total
 from ..effects import Catalogue
-from .comparison import add_shapes
+from .comparison import add_shapes, interval
 from .diagnosis_text import model_error_note
 from .error_plots import per_marker, per_posture
 from .page import HEIGHTS_PX, LOG_AXIS, Figure, Page, Shown, axes, mm_list, titled, trace
@@ -45,13 +45,9 @@ def step_table(improvement: Improvement) -> list[list[str]]:
     where = where if len(improvement.markers) > 1 else ''
     rows = [['', *(f'{kind}{where} [mm]' for kind in kinds), 'took off, left out']]
     for k, step in enumerate(improvement.steps):
-        label, fall = step.label, ''
+        label, fall = step.label, interval(step.fall, step.scatter) if k else ''
         if k > improvement.taken:
             label = f'not taken: {label.removeprefix("+ ")}'
-        if k:
-            scatter = digits(1e3 * step.scatter)
-            places = len(scatter.partition('.')[2])
-            fall = f'{1e3 * step.fall:.{places}f} ± {scatter} mm'
         rows.append([label, *(numbers(step.errors[kind]) for kind in kinds), fall])
     return rows
 
