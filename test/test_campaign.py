@@ -174,7 +174,7 @@ def test_what_is_hidden_grows_with_its_size_and_sections_differ():
 @pytest.mark.parametrize('hidden', ['tip_load', 'friction_memory'])
 def test_a_hidden_effect_of_a_typical_size_is_visible(hidden):
     setup, catalogue = plan().setup, load_catalogue()
-    case = Case(setup.arms[0].name, hidden, 1.0, 0, level=0.0, exact=True)
+    case = Case(setup.arms[0].robot.name, hidden, 1.0, 0, level=0.0, exact=True)
     noise = setup.noises[0][1]
     sim = simulated(case, setup.arms[0], setup.designs[0], noise, catalogue)
     assert is_visible(case, sim)
@@ -183,7 +183,7 @@ def test_a_hidden_effect_of_a_typical_size_is_visible(hidden):
 def test_markers_are_evenly_spaced_up_to_the_tip():
     made = plan(designs=[{'postures': 4, 'trials': 2, 'markers': 2}])
     arm = made.setup.arms[0]
-    case = Case(arm.name, 'none', 0.0, 0, level=0.0)
+    case = Case(arm.robot.name, 'none', 0.0, 0, level=0.0)
     data = simulated(case, arm, made.setup.designs[0], made.setup.noises[0][1], load_catalogue())
     places = [marker.arc_length for marker in data.fit.markers]
     assert places == pytest.approx([arm.robot.length / 2.0, arm.robot.length])
