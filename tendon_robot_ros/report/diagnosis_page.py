@@ -236,21 +236,17 @@ def candidate_row(row: CandidateRow) -> list[str]:
 def pushes_of(diagnosis: Diagnosis) -> dict[str, Push]:
     """Return what pushes the arm in each posture, of the first effect that is a force."""
     for effect in diagnosis.effects:
-        rows = diagnosis.details.get('pushes', {}).get(effect.name, ())
-        largest = max((float(np.linalg.norm(row['force'])) for row in rows), default=0.0)
+        rows = diagnosis.details.get('pushes', {}).get(effect.name)
+        if not rows:
+            continue
+        largest = max(float(np.linalg.norm(row['force'])) for row in rows)
         fixed = [effect.parameters.get(f'point_{axis}') for axis in 'xyz']
         to = None if None in fixed else np.array([one.value for one in fixed if one])
-        pushes = {
-            row['posture']: Push(
-                np.array(row['at']),
-                np.array(row['force']) / largest,
-                to,
-                'arc_length' not in effect.parameters,
-            )
+        wall = 'arc_length' not in effect.parameters
+        return {
+            row['posture']: Push(np.array(row['at']), np.array(row['force']) / largest, to, wall)
             for row in rows
         }
-        if pushes:
-            return pushes
     return {}
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import InputError
+from ..common.rotations import turned_in_plane
 from ..comparison.compare import compare
 from ..comparison.result import Comparison
 from ..data import DataSet, default_markers
@@ -209,14 +210,10 @@ def turned(positions: Floats, play: Floats) -> Floats:
         Turns in the x-z plane, towards +x.
 
     """
-    moved = np.array(positions, dtype=float)
-    joints = np.concatenate([np.zeros_like(moved[..., :1, :]), moved[..., :-1, :]], axis=-2)
-    for i in reversed(range(moved.shape[-2])):  # what lies nearer to the base is still in place
-        arms = moved[..., i:, :] - joints[..., i : i + 1, :]
-        c, s = np.cos(play[..., i, None]), np.sin(play[..., i, None])
-        moved[..., i:, 0] = joints[..., i, None, 0] + c * arms[..., 0] + s * arms[..., 2]
-        moved[..., i:, 2] = joints[..., i, None, 2] - s * arms[..., 0] + c * arms[..., 2]
-    return moved
+    cells = np.diff(positions, axis=-2, prepend=0.0)  # (..., n, 3) [m] from end to end
+    turns = np.cumsum(play, axis=-1)  # a cell turns with all that lie nearer to the base
+    cells[..., [2, 0]] = turned_in_plane(cells[..., [2, 0]], turns)
+    return np.cumsum(cells, axis=-2)
 
 
 class TensionExperiment:
