@@ -141,7 +141,7 @@ def test_once_only_an_interval_is_too_wide_the_posture_that_narrows_it_is_chosen
     def widest(choice):
         design = LinearDesign(question, empty, catalogue)
         shown = dict(zip(map(tuple, rows.tolist()), design.offered(rows)[1], strict=True))
-        precision = np.eye(design.size)
+        precision = np.eye(shown[tuple(rows[0].tolist())].shape[1])
         for inputs, _ in choice:
             own = shown[tuple(inputs.tolist())]
             precision += own.T @ own

@@ -208,7 +208,7 @@ def choose(
     pool, offered = design.offered(pool) if len(pool) else (pool, [])
     if not offered:
         return []
-    precision = np.eye(design.size)
+    precision = np.eye(offered[0].shape[1])
     for rows in design.rows(measured) if len(measured.postures) else ():
         precision += rows.T @ rows
     choices = list[tuple[Floats, float]]()
@@ -229,7 +229,6 @@ class LinearDesign:
         self.robot: Robot = measured.robot
         self.catalogue = catalogue.sized(natural_sizes(self.robot))
         self.frees = tuple(dict.fromkeys(frees_of(question.effects, self.catalogue, self.robot)))
-        self.size = 0
 
     def offered(self, pool: Floats) -> tuple[Floats, list[Floats]]:
         """Return the postures of a pool that have an equilibrium, and their whitened rows."""
@@ -261,7 +260,6 @@ class LinearDesign:
         ]
         if not self.robot.exact:
             slopes += self._as_built(SplitPredictor(predictor))
-        self.size = len(slopes)
         whitener = Whitener(dataset, self.question.noise, input_slopes(predictor, point))
         white = whitener.white(np.array(slopes))
         return [white[:, whitener.owners == p].T for p in range(len(markers))]

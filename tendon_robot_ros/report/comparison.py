@@ -240,21 +240,26 @@ def add_loops(page: Page, comparison: Comparison) -> None:
 
 
 def add_shapes(
-    page: Page,
-    comparison: Comparison,
-    faults: Sequence[Fault] = (),
-    pushes: Pushes | None = None,
+    page: Page, comparison: Comparison, faults: Sequence[Fault] = (), pushes: Pushes | None = None
 ) -> None:
-    """Add the measured and predicted shapes; what a diagnosis found is marked."""
+    """
+    Add the measured and predicted shapes.
+
+    `faults` of the details of a diagnosis are marked where the model is wrong.
+    """
     page.heading('Shapes')
-    drawn, measured = len(chosen_postures(comparison)), int((comparison.measured.trials > 0).sum())
-    if drawn < measured:
+    chosen, measured = chosen_postures(comparison), int((comparison.measured.trials > 0).sum())
+    if len(chosen) < measured:
         page.text(
-            f'The {drawn} postures of {measured} that {comparison.best.name} predicts worst.'
+            f'The {len(chosen)} postures of {measured} that {comparison.best.name} predicts worst.'
         )
     page.key(shape_key(comparison, faults, pushes))
-    for figures, across in shape_figures(comparison, faults, pushes):
-        page.figures(figures, across)
+    drawn = [DrawnPosture(comparison, p, faults, pushes or {}) for p in chosen]
+    if is_planar(comparison):
+        page.figures([flat_figure(one) for one in drawn], 'many')
+    else:
+        page.figures([scene_figure(comparison, drawn)])
+        page.figures([side_figure(one) for one in drawn], 'two')
 
 
 def add_angles(page: Page, comparison: Comparison) -> None:
@@ -275,22 +280,6 @@ def add_angles(page: Page, comparison: Comparison) -> None:
         'much less precise than these; the first one counts from the base, half a cell.'
     )
     page.figures([angles(comparison, p) for p in worst], 'two')
-
-
-def shape_figures(
-    comparison: Comparison, faults: Sequence[Fault] = (), pushes: Pushes | None = None
-) -> list[tuple[list[Figure], str]]:
-    """
-    Return rows of figures of the shapes, and how many of each stand beside each other.
-
-    `faults` of the details of a diagnosis are marked where the model is wrong.
-    """
-    chosen = chosen_postures(comparison)
-    drawn = [DrawnPosture(comparison, p, faults, pushes or {}) for p in chosen]
-    if is_planar(comparison):
-        return [([flat_figure(one) for one in drawn], 'many')]
-    sides = [side_figure(one) for one in drawn]
-    return [([scene_figure(comparison, drawn)], ''), (sides, 'two')]
 
 
 def shape_key(
