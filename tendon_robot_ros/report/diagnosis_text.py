@@ -115,10 +115,11 @@ def verdict(diagnosis: Diagnosis) -> str:
     return sentence.format(**{name: _fields[name](diagnosis) for name in names})
 
 
-def heading(diagnosis: Diagnosis, usual: str) -> str:
-    """Return the first words of a verdict: the usual ones, or what has changed since when."""
-    taken = diagnosis.details.get('reference')
-    return f'Changed since {taken["data"]}' if taken else usual
+def detail(key: str, known: str, usual: str) -> Callable[[Diagnosis], str]:
+    """Return what says a detail of a diagnosis in a sentence, the usual words where it is not."""
+    return lambda diagnosis: (
+        known.format(diagnosis.details[key]) if diagnosis.details.get(key) else usual
+    )
 
 
 def findings(diagnosis: Diagnosis) -> str:
@@ -223,16 +224,15 @@ def instead(diagnosis: Diagnosis) -> str:
 
 def what_remains(diagnosis: Diagnosis) -> str:
     """Say how far the best effects lower the error, and what remains or fits better."""
-    floor = diagnosis.noise_floor
+    before, after = diagnosis.error_before, diagnosis.error_after
+    floors = (after if diagnosis.effects else before) / diagnosis.noise_floor
+    size, little = f'{digits(floors)} times the noise', floors < SAME_ERROR_RATIO
     if not diagnosis.effects:
-        size = f'{digits(diagnosis.error_before / floor)} times the noise'
-        if diagnosis.error_before < SAME_ERROR_RATIO * floor:
-            size = f'not random, though it is only {size}'
-        return f'No known effect helps; the error is {size}'
+        random = 'not random, though it is only ' if little else ''
+        return f'No known effect helps; the error is {random}{size}'
     best = next((row for row in diagnosis.candidates if row.status == 'best'), None)
-    after = diagnosis.error_after
     lowers = 'It lowers' if len(diagnosis.effects) == 1 else 'They lower'
-    lowers += f' the error from {mm(diagnosis.error_before)} to {mm(after)}'
+    lowers += f' the error from {mm(before)} to {mm(after)}'
     text = f'Nearest: {findings(diagnosis)}. {lowers}, but '
     rival = diagnosis.details.get('rival')
     if rival and best is not None and best.probability > P_SINGLE_MIN:
@@ -242,8 +242,7 @@ def what_remains(diagnosis: Diagnosis) -> str:
     if best is not None:
         p = best.probability
         significance = ' (p < 1e-6)' if p < 1e-6 else f' (p = {digits(p, 1)})'
-    size = f'{digits(after / floor)} times the noise'
-    if after < SAME_ERROR_RATIO * floor:
+    if little:
         return f'{text}what remains is not random{significance}, though it is only {size}'
     return f'{text}what remains is {size}{significance}'
 
@@ -253,9 +252,7 @@ def what_remains(diagnosis: Diagnosis) -> str:
 _fields: dict[str, Callable[[Diagnosis], str]] = {
     'alike': class_lines,
     'as_written': as_written,
-    'obstacle': lambda diagnosis: (
-        'Mistake of the set-up' if 'mistake' in diagnosis.details else 'Cannot be judged'
-    ),
+    'obstacle': detail('mistake', 'Mistake of the set-up', 'Cannot be judged'),
     'findings': findings,
     'instead': instead,
     'judged_by': lambda diagnosis: (
@@ -263,20 +260,12 @@ _fields: dict[str, Callable[[Diagnosis], str]] = {
         if (accuracy := diagnosis.details.get('accuracy'))
         else 'these measurements could show'
     ),
-    'missing': lambda diagnosis: heading(diagnosis, 'Missing'),
-    'nothing': lambda diagnosis: (
-        f'Nothing has changed since {taken["data"]}'
-        if (taken := diagnosis.details.get('reference'))
-        else 'Nothing is missing'
-    ),
-    'off': lambda diagnosis: heading(diagnosis, 'A value is off'),
+    'missing': detail('reference', 'Changed since {0[data]}', 'Missing'),
+    'nothing': detail('reference', 'Nothing has changed since {0[data]}', 'Nothing is missing'),
+    'off': detail('reference', 'Changed since {0[data]}', 'A value is off'),
     'remainder': lambda diagnosis: diagnosis.remainder,
     'share': explained_part,
-    'these_postures': lambda diagnosis: (
-        f'these {count} postures'
-        if (count := diagnosis.details.get('postures'))
-        else 'these postures'
-    ),
+    'these_postures': detail('postures', 'these {} postures', 'these postures'),
     'what_remains': what_remains,
     'why_off': why_off,
 }

@@ -119,7 +119,7 @@ class Paper:
     def __init__(self, robots: Sequence[Robot], show: Progress) -> None:
         target, prototype, single, small = robots
         show('friction', 0, 5)
-        self.rows = [*friction_numbers(rehearsals())]
+        self.rows = [*friction_numbers()]
         show('motion', 1, 5)
         self.motion = MotionExperiment(target)
         self.rows += motion_numbers(self.motion)
@@ -139,12 +139,20 @@ class Paper:
         return {'rows': rows}
 
 
-def friction_numbers(frictions: dict[str, SlipFriction]) -> Iterator[Number]:
-    """Return the coefficients of section IV.A."""
+def friction_numbers() -> Iterator[Number]:
+    """
+    Draw slip angles of the published coefficients and evaluate them, scale by scale (IV.A).
+
+    The measured ones are not printed.
+    """
     why = 'rehearsed with drawn slip angles (SD 0.03 assumed); ± is the 95 % interval of the mean'
-    for scale, one in frictions.items():
-        what, ours = f'friction coefficient, {scale}, n = {one.n}', (one.mean, one.low, one.high)
-        yield Number.of('IV.A', what, '1', Published.FRICTION[scale][0], ours, why)
+    for scale, (coefficient, n) in Published.FRICTION.items():
+        random, reading = np.random.default_rng([0, n]), Assumed.ANGLE_READING_DEG
+        degrees = np.degrees(np.arctan(coefficient + Assumed.TANGENT_SD * random.normal(size=n)))
+        angles = np.radians(np.round(degrees / reading) * reading)
+        one = SlipFriction(tuple(map(str, range(1, n + 1))), angles)
+        what, ours = f'friction coefficient, {scale}, n = {n}', (one.mean, one.low, one.high)
+        yield Number.of('IV.A', what, '1', coefficient, ours, why)
 
 
 def motion_numbers(experiment: MotionExperiment) -> Iterator[Number]:
@@ -205,21 +213,6 @@ def small_numbers(experiment: SmallExperiment) -> Iterator[Number]:
     )
     ours = (one.tension, low.pull, high.tension)
     yield Number.of('IV.E', 'tip at 90°, PCCA', 'mm', 7.6, ours, why)
-
-
-def rehearsals() -> dict[str, SlipFriction]:
-    """
-    Draw slip angles of the published coefficients and evaluate them, scale by scale (IV.A).
-
-    The measured ones are not printed.
-    """
-    frictions = {}
-    for scale, (coefficient, n) in Published.FRICTION.items():
-        random, reading = np.random.default_rng([0, n]), Assumed.ANGLE_READING_DEG
-        degrees = np.degrees(np.arctan(coefficient + Assumed.TANGENT_SD * random.normal(size=n)))
-        angles = np.radians(np.round(degrees / reading) * reading)
-        frictions[scale] = SlipFriction(tuple(map(str, range(1, n + 1))), angles)
-    return frictions
 
 
 PAPER_SOURCE = (
