@@ -45,7 +45,7 @@ def command(folder):
 
 
 def texts(*rows):
-    return [change.text for change in changes(rows)]
+    return [change['text'] for change in changes(rows)]
 
 
 def test_what_stays_within_its_intervals_is_no_change():

@@ -77,10 +77,7 @@ def run(args: argparse.Namespace) -> int:
         rows = judge_all(study, cases, table, workers, show, 'recordings')
     rows.sort(key=lambda row: (row.robot, row.when, row.place))
     page = fleet_page(rows, f'Fleet: {folder.resolve().name}').write(output / PAGE)
-    content = {
-        'recordings': [asdict(row) for row in rows],
-        'changes': [asdict(change) for change in changes(rows)],
-    }
+    content = {'recordings': [asdict(row) for row in rows], 'changes': changes(rows)}
     left_out = [f'left out: {line}' for line in problems(rows)]
     text = [columns([COLUMNS, *fleet_rows(rows)]), *change_lines(rows), *left_out]
     emit(args, content, '\n'.join([*text, f'written: {output}/table, {page}']))
@@ -214,16 +211,6 @@ def when_of(path: Path, count: int = 1) -> tuple[str, str]:
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec='minutes'), dated_by
 
 
-@dataclass(frozen=True)
-class Change:
-    """A difference between a recording and the one before of the same robot."""
-
-    robot: str
-    since: str  # the last one without it
-    when: str
-    text: str
-
-
 def histories(rows: Iterable[FleetRow]) -> dict[str, list[FleetRow]]:
     """Collect what could be read by robot, in the order of time."""
     read = (row for row in rows if row.verdict != ERROR)
@@ -237,10 +224,10 @@ def tracked(rows: Sequence[FleetRow]) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def changes(rows: Sequence[FleetRow]) -> list[Change]:
-    """Return the changes of every robot, in the order of time."""
+def changes(rows: Sequence[FleetRow]) -> list[dict[str, str]]:
+    """Return what differs from the recording before of the same robot, in the order of time."""
     return [
-        Change(robot, old.when, new.when, text)
+        {'robot': robot, 'since': old.when, 'when': new.when, 'text': text}
         for robot, own in histories(rows).items()
         for old, new in itertools.pairwise(own)
         for text in differences_of(old, new)
@@ -311,7 +298,7 @@ def _readable(when: str) -> str:
 def change_lines(rows: Sequence[FleetRow]) -> list[str]:
     """Describe the changes, a line each, or say that there are none."""
     lines = [
-        f'{c.robot}, {_readable(c.when)} (since {_readable(c.since)}): {c.text}'
+        f'{c["robot"]}, {_readable(c["when"])} (since {_readable(c["since"])}): {c["text"]}'
         for c in changes(rows)
     ]
     return lines or ['Nothing changed from one recording to the next.']

@@ -37,13 +37,12 @@ from ..report.sentences import interval_name
 from ..report.workspace_page import FAMILY_COLUMNS, rows, view_figures
 from ..robot import Robot, load_robot
 from .friction import SlipFriction
-from .paper_motion import Assumed, MotionExperiment, Published
+from .paper_motion import Assumed, MotionExperiment, Published, Range
 from .paper_postures import DisplacementExperiment, SmallExperiment, TensionExperiment
 
 HELP = "the paper's experiments, published numbers beside ours, on one page"
 PAPER_ROBOTS = ('kato_1_1', 'kato_10_1', 'kato_10_1_single', 'kato_2_1')
 PAPER_FILES = ('paper.html', 'paper.json')
-Range = tuple[float, float, float]
 # [printed unit / SI] (Kato et al. 2015)
 SCALES = {'1': 1.0, '%': 100.0, 'mm': 1e3, '°': 180.0 / np.pi}
 # [1] relative difference that counts as met, because what else is assumed moves as much
@@ -175,8 +174,7 @@ def displacement_numbers(experiment: DisplacementExperiment) -> Iterator[Number]
         'trial to trial; the range is over 0 to 2°, 5 to 95 % of prototypes'
     )
     for model, published, sd in (('FKM', 5.9, 2.9), ('PCCA', 23.7, 3.6)):
-        spread, what = experiment.errors[model], 'tip error at given pulls'
-        errors, sds = (spread.mean, spread.low, spread.high), (spread.sd, *spread.sd_range)
+        (errors, sds), what = experiment.errors[model], 'tip error at given pulls'
         yield Number.of('IV.C', f'{what}, {model}', 'mm', published, errors, of_error)
         yield Number.of('IV.C', f'its ±, {model}', 'mm', sd, sds, of_sd)
     why = 'put in; taut wires hold the sum over each section, which takes some of it away'

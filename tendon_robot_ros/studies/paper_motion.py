@@ -14,6 +14,8 @@ from ..robot import Robot
 from ..simulation.measurements import SimulatedNoise
 from ..workspace.view_angle import POSTURES_PER_SIDE, Family, Pair, Workspace, bisect
 
+Range = tuple[float, float, float]  # a number, and the ends of what it may be
+
 
 class Published:
     """What Kato et al. 2015 print in section IV, in SI units."""

@@ -27,7 +27,7 @@ from ..robot import Robot
 from ..simulation.measurements import simulate
 from ..simulation.plant import Plant, make_plant
 from ..workspace.view_angle import Pair, pairs_of
-from .paper_motion import Assumed, Published, at_view, pcca, with_arm, with_cells
+from .paper_motion import Assumed, Published, Range, at_view, pcca, with_arm, with_cells
 
 HEIGHT_NAMES = ('maximum tip height', 'median tip height', 'minimum tip height')
 HINGE_MODEL = 'FKM + hinge friction'
@@ -44,19 +44,6 @@ class Heights:
     tips: Floats  # (3, 3) [m] by the FKM
     apart: Floats  # (3,) [m] between the tips of FKM and PCCA
     everywhere: tuple[float, float]  # [m] smallest and largest `apart` of all such postures
-
-
-@dataclass(frozen=True)
-class Spread:
-    """A tip error [m]: mean over prototypes, and the 5th and 95th percentile among them."""
-
-    mean: float
-    low: float
-    high: float
-    sd: float  # over the trials of a prototype, root mean square
-    # its 5th percentile where cells do not change from trial to trial, and its 95th where they
-    # change as much as they scatter
-    sd_range: tuple[float, float]
 
 
 class DisplacementExperiment:
@@ -167,8 +154,16 @@ def pulled_by_hand(plant: Plant, heights: Heights, p: int, random: np.random.Gen
     return plant.shapes(pulls, displacement=True).positions
 
 
-def many_prototypes(plant: Plant, heights: Heights, comparison: Comparison) -> dict[str, Spread]:
-    """Tip errors at the highest tip, by model, of prototypes that differ in their cells' play."""
+def many_prototypes(
+    plant: Plant, heights: Heights, comparison: Comparison
+) -> dict[str, tuple[Range, Range]]:
+    """
+    Return tip errors at the highest tip, by model, of prototypes that differ in their cells' play.
+
+    Of each the mean over prototypes with the 5th and the 95th percentile among them [m]; then of
+    its sd over the trials of a prototype the root mean square, the 5th percentile where cells do
+    not change from trial to trial, and the 95th where they change as much as they scatter [m].
+    """
     random, robot, spreads = np.random.default_rng(0), plant.robot, {}
     play = Published.CELL_SCATTER_RAD * random.normal(size=(Assumed.PROTOTYPES, 1, robot.cells))
     shapes = pulled_by_hand(plant, heights, 0, random)
@@ -182,13 +177,9 @@ def many_prototypes(plant: Plant, heights: Heights, comparison: Comparison) -> d
         errors = [np.linalg.norm(one - model.markers[0, -1], axis=2) for one in tips]
         means, sds = errors[1].mean(axis=1), [one.std(axis=1, ddof=1) for one in errors]
         low, high = np.percentile(means, [5.0, 95.0]).tolist()
-        spreads[model.name] = Spread(
-            mean=float(means.mean()),
-            low=low,
-            high=high,
-            sd=float(np.sqrt((sds[1] ** 2).mean())),
-            sd_range=(float(np.percentile(sds[0], 5)), float(np.percentile(sds[-1], 95))),
-        )
+        least, most = float(np.percentile(sds[0], 5)), float(np.percentile(sds[-1], 95))
+        sd = float(np.sqrt((sds[1] ** 2).mean()))
+        spreads[model.name] = (float(means.mean()), low, high), (sd, least, most)
     return spreads
 
 
