@@ -251,11 +251,8 @@ class Investigation:
     def judge(self) -> InvestigationEnd | None:
         """Diagnose the measurements; return why the investigation ends, None if it goes on."""
         dataset = self.record.dataset
-
-        def attend(*progress: object) -> None:
-            self.arm.attend()
-
-        diagnosis = diagnose(dataset, None, self.catalogue, progress=attend)
+        attend = self.arm.attend
+        diagnosis = diagnose(dataset, None, self.catalogue, progress=lambda *_: attend())
         self.diagnosis = diagnosis
         length = self.arm.robot.length
         if diagnosis.verdict.judged and np.isfinite(diagnosis.error_after):

@@ -54,15 +54,6 @@ class SimulatedNoise:
         return np.maximum((1.0 + self.setting * setting) * (1.0 + self.trial * trial), 0.0)
 
 
-@dataclass(frozen=True)
-class TrackerFaults:
-    """What a tracker does to readings besides noise, as in a laboratory."""
-
-    lost: float = 0.03  # [1] of the readings, because markers hide one another
-    wild: float = 0.005  # [1] of the readings: about one in a data set, so that all are tried
-    wild_sd: float = 5e-3  # [m] a cell or so, as where one marker is taken for the next
-
-
 def simulate(
     plant: Plant | RobotLike,
     inputs: Any,

@@ -20,7 +20,7 @@ from ..inference.predict import Predictor
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
 from ..simulation.hidden import CAUSES, Built, Workmanship, chosen
-from ..simulation.measurements import SimulatedNoise, TrackerFaults, simulate
+from ..simulation.measurements import SimulatedNoise, simulate
 from ..simulation.plant import make_plant
 from ..workspace.postures import SEQUENCE_FACTOR, default_postures
 
@@ -35,6 +35,10 @@ SOFT_CELL_LOSS = 0.45
 VECTOR_FRACTIONS = (0.4, 1.0)
 # [1] of the typical size, section by section: they differ, or else it would be another effect
 SECTION_FACTORS = (1.5, -1.0)
+# what a tracker does to readings besides noise, as in a laboratory
+LOST_FRACTION = 0.03  # [1] of the readings, because markers hide one another
+WILD_FRACTION = 0.005  # [1] of the readings: about one in a data set, so that all are tried
+WILD_SD = 5e-3  # [m] a cell or so, because one marker is taken for the next
 
 
 @dataclass(frozen=True)
@@ -254,11 +258,10 @@ def postures_of(
 
 def with_lost_readings(dataset: DataSet, seed: int) -> DataSet:
     """Remove some readings of the markers, and displace a few of them far."""
-    random, faults = np.random.default_rng([seed, 19]), TrackerFaults()
-    positions = dataset.positions.copy()
-    wild = random.random(positions.shape[:3]) < faults.wild
-    positions[wild] += random.normal(0.0, faults.wild_sd, (int(wild.sum()), 3))
-    lost = random.random(positions.shape[:3]) < faults.lost
+    random, positions = np.random.default_rng([seed, 19]), dataset.positions.copy()
+    wild = random.random(positions.shape[:3]) < WILD_FRACTION
+    positions[wild] += random.normal(0.0, WILD_SD, (int(wild.sum()), 3))
+    lost = random.random(positions.shape[:3]) < LOST_FRACTION
     lost[:, 0, 0] = False  # every posture keeps a reading
     positions[lost] = np.nan
     return replace(dataset, positions=positions)

@@ -39,7 +39,6 @@ class Heights:
 
     pair: Pair
     arm: float  # [m]
-    tensions: Floats  # (3, m) [N] by the FKM
     pulls: Floats  # (3, m) [m], NaN = no wire
     tips: Floats  # (3, 3) [m] by the FKM
     apart: Floats  # (3,) [m] between the tips of FKM and PCCA
@@ -107,7 +106,6 @@ def find_heights(robot: Robot, pair: Pair) -> Heights | None:
     return Heights(
         pair=pair,
         arm=abs(robot.tendons[0].base[0]),
-        tensions=tensions[chosen],
         pulls=pulls,
         tips=shapes.tip_position[chosen],
         apart=apart[chosen],
