@@ -7,7 +7,7 @@ Every sentence comes from fields of the result.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from string import Formatter
 
 import numpy as np
@@ -443,32 +443,28 @@ def also_written(addition: Addition) -> list[str]:
     robot, before = addition.robot, addition.described
     if before is None:
         return []
-    changes = []
-    stiffness = _changes(*(stiffnesses(one).tolist() for one in (before, robot)))
-    if stiffness:
-        changes.append(f'stiffness of {_count(stiffness, "cell")}')
-    offsets = _changes(*([np.hypot(*t.base) for t in one.tendons] for one in (before, robot)))
-    if offsets:
-        changes.append(f'offset of {_count(offsets, "tendon")}')
-    changes += [
-        name
-        for name, values in robot.effects.items()
-        if name not in addition.values and values != before.effects.get(name)
+    places = ([np.hypot(*tendon.base) for tendon in one.tendons] for one in (before, robot))
+    return [
+        *_changed('stiffness', 'cell', stiffnesses(before), stiffnesses(robot)),
+        *_changed('offset', 'tendon', *places),
+        *(
+            name
+            for name, values in robot.effects.items()
+            if name not in addition.values and values != before.effects.get(name)
+        ),
+        *(['gravity'] if robot.gravity != before.gravity else []),
     ]
-    return [*changes, 'gravity'] if robot.gravity != before.gravity else changes
 
 
-def _changes(before: Sequence[float], after: Sequence[float]) -> list[float]:
-    """Return the relative changes of those values that changed."""
+def _changed(what: str, part: str, before: Iterable[float], after: Iterable[float]) -> list[str]:
+    """Say of how many parts something changed, and between which changes; nothing of none."""
     pairs = zip(before, after, strict=True)
-    return [float(new / old - 1.0) for old, new in pairs if new != old and old]
-
-
-def _count(changes: Sequence[float], what: str) -> str:
-    """Say how many changed, and between which changes."""
-    low, high = (f'{100.0 * change:+.2g}' for change in (min(changes), max(changes)))
+    changes = [100.0 * float(new / old - 1.0) for old, new in pairs if new != old and old]
+    if not changes:
+        return []
+    low, high = (f'{change:+.2g}' for change in (min(changes), max(changes)))
     size = f'{low} %' if low == high else f'{low} to {high} %'
-    return f'{counted(len(changes), what)} ({size})'
+    return [f'{what} of {counted(len(changes), part)} ({size})']
 
 
 def model_error_note(error: float) -> str:

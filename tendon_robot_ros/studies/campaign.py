@@ -83,22 +83,17 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-HIDDEN_COLUMNS = (
-    *('hidden', 'n', 'right', 'seen', 'right of these', 'wrong name', 'quiet', 'outside'),
-    *('some at once', 'class', 'inside', 'gone', 'time'),
-)
 HIDDEN_MEANING = (
     'seen: stands out of noise and imperfections; of effects, how many of these were right, with '
     'the 95 % interval; quiet: nothing was said to be missing; class: '
     'effects named together, on average; inside: 95 % intervals that hold the truth; gone: error '
     'taken off postures not used (median); time: of the processor for a diagnosis (median).'
 )
-FITTED_COLUMNS = ('intervals of', 'hold', 'of', 'not determined')
 
 
 def hidden_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
-    """Return a row per robot and hidden effect: detection and naming rates, and accuracy."""
-    table = []
+    """Return a row per robot and hidden effect: rates and accuracy; the names come first."""
+    table: list[dict[str, str]] = []
     for (robot, hidden), members in grouped(rows, lambda r: (r.robot, r.hidden)).items():
         verdicts = collections.Counter(row.verdict for row in members)
         visible = [row for row in members if row.visible]
@@ -106,23 +101,24 @@ def hidden_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
         named = [row for row in members if row.verdict in NAMING]
         inside = [held for row in members for held in row.held]
         removed = [row.gone for row in members if row.gone is not None and hidden != NOTHING]
-        cells = [
-            f'{robot}: {hidden}',
-            f'{len(members)}',
-            f'{np.mean([row.right for row in members]):.0%}',
-            f'{len(visible)}',
-            str(Rate.of(row.right for row in visible)) if is_effect else '–',
-            f'{sum(row.wrong_name for row in members)}',
-            f'{verdicts[Verdict.ADEQUATE]}',
-            f'{verdicts[Verdict.OUTSIDE_CATALOGUE]}',
-            f'{verdicts[Verdict.SEVERAL]}',
-            f'{np.mean([max(len(row.group), 1) for row in named]):.1f}' if named else '–',
-            f'{np.mean(inside):.0%}' if inside else '–',
-            f'{np.median(removed):.0%}' if removed else '–',
-            f'{np.median([row.seconds for row in members]):.1f} s',
-        ]
+        alike = [max(len(row.group), 1) for row in named]
+        cells = {
+            'hidden': f'{robot}: {hidden}',
+            'n': f'{len(members)}',
+            'right': f'{np.mean([row.right for row in members]):.0%}',
+            'seen': f'{len(visible)}',
+            'right of these': f'{Rate.of(row.right for row in visible)}' if is_effect else '–',
+            'wrong name': f'{sum(row.wrong_name for row in members)}',
+            'quiet': f'{verdicts[Verdict.ADEQUATE]}',
+            'outside': f'{verdicts[Verdict.OUTSIDE_CATALOGUE]}',
+            'some at once': f'{verdicts[Verdict.SEVERAL]}',
+            'class': f'{np.mean(alike):.1f}' if named else '–',
+            'inside': f'{np.mean(inside):.0%}' if inside else '–',
+            'gone': f'{np.median(removed):.0%}' if removed else '–',
+            'time': f'{np.median([row.seconds for row in members]):.1f} s',
+        }
         table.append(cells)
-    return table
+    return [[*table[0]], *([*cells.values()] for cells in table)]
 
 
 def rate_lines(rows: Sequence[CaseRow]) -> list[str]:
@@ -136,16 +132,15 @@ def summary(rows: Sequence[CaseRow]) -> list[str]:
     named = [max(len(row.group), 1) for row in rows if row.right and row.effects]
     if named:
         texts.append(f'members of a class that is right, mean: {np.mean(named):.1f}')
-    if rows:
-        seconds = np.median([row.seconds for row in rows])
-        texts.append(f'a diagnosis, median: {seconds:.2g} s of processor time')
+    seconds = np.median([row.seconds for row in rows])
+    texts.append(f'a diagnosis, median: {seconds:.2g} s of processor time')
     problems = collections.Counter(row.problem for row in rows if row.problem)
     worst = [f'{count} x {problem}' for problem, count in problems.most_common(3)]
-    tables: list[list[Sequence[str]]] = [[HIDDEN_COLUMNS, *hidden_rows(rows)]]
+    tables = [hidden_rows(rows)]
     if any(row.truth for row in rows):
-        tables.append([FITTED_COLUMNS, *interval_rows(rows)])
+        tables.append(interval_rows(rows))
     if by_robot := robot_rows(rows):
-        tables.append([*by_robot])
+        tables.append(by_robot)
     return [*map(columns, tables), *texts, *worst]
 
 
@@ -160,17 +155,17 @@ def robot_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
 
 
 def interval_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
-    """Return a row per robot, effect and parameter: the coverage of the 95 % intervals."""
+    """Return a row per robot, effect and parameter: how many of its 95 % intervals hold it."""
     hits: dict[tuple[str, str, str], list[bool]] = {}
     for row in rows:
         for name, held in zip(row.parameter, row.held, strict=True):
             hits.setdefault((row.robot, row.hidden, name), []).append(held)
     refused = collections.Counter((row.robot, row.hidden) for row in rows if row.problem)
-    return [
-        [f'{robot}: {hidden} {name}', f'{np.mean(every):.1%}', f'{len(every)}']
-        + [f'{refused[robot, hidden]}']
-        for (robot, hidden, name), every in sorted(hits.items())
-    ]
+    table = [['intervals of', 'hold', 'of', 'not determined']]
+    for (robot, hidden, name), every in sorted(hits.items()):
+        held, of, not_told = f'{np.mean(every):.1%}', f'{len(every)}', f'{refused[robot, hidden]}'
+        table.append([f'{robot}: {hidden} {name}', held, of, not_told])
+    return table
 
 
 def smallest_text(power: Power) -> str:
@@ -221,7 +216,8 @@ def campaign_page(
 
     page.heading('What is said of what is hidden')
     page.figures([confusion_figure(rows)])
-    page.table(HIDDEN_COLUMNS, hidden_rows(rows), left=[0])
+    head, *of_hidden = hidden_rows(rows)
+    page.table(head, of_hidden, left=[0])
     page.text(HIDDEN_MEANING)
 
     page.heading('Intervals')
