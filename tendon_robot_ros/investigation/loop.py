@@ -295,9 +295,8 @@ class Investigation:
     def verified(self, outcome: InvestigationEnd) -> Findings:
         """Fit the named effects, and compute their error on fresh postures."""
         diagnosis, dataset = self.diagnosis, self.record.dataset
-        adds = diagnosis is not None and bool(diagnosis.effects) and diagnosis.verdict.may_add
         confirmed = outcome is InvestigationEnd.NAMED or self.goal.add
-        if diagnosis is None or not adds or not confirmed:
+        if diagnosis is None or not (confirmed and diagnosis.effects and diagnosis.adds):
             return Findings(outcome, diagnosis, dataset, self.record)
         check = self.measure_fresh() if self.goal.checks else None
         names = [effect.name for effect in diagnosis.effects]

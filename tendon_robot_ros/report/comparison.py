@@ -320,12 +320,11 @@ class Push:
 
     def traces(self, length: float, azimuth: float) -> list[Trace]:
         """Return an arrow, and the string or the wall, for an arm of a length [m] as seen."""
-        size = float(np.linalg.norm(self.force))
-        along = self.force / size
+        along = self.force / np.linalg.norm(self.force)
         across = np.cross(along, [-np.sin(azimuth), np.cos(azimuth), 0.0])
         across /= max(float(np.linalg.norm(across)), 1e-9)
-        end = self.at + ARROW_FRACTION * length * self.force
         tip = ARROW_FRACTION * length
+        end = self.at + tip * self.force
         left, right = (end + 0.1 * tip * (side - 2.0 * along) for side in (across, -across))
         arrow = np.array([self.at, end, left, end, right])
         drawn = [placed(arrow, 'lines', 'force', line={'color': BAD, 'width': 3, 'dash': 'solid'})]
