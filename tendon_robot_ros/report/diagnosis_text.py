@@ -118,7 +118,7 @@ def verdict(diagnosis: Diagnosis) -> str:
 def detail(key: str, known: str, usual: str) -> Callable[[Diagnosis], str]:
     """Return what says a detail of a diagnosis in a sentence, the usual words where it is not."""
     return lambda diagnosis: (
-        known.format(diagnosis.details[key]) if diagnosis.details.get(key) else usual
+        usual if diagnosis.details.get(key) is None else known.format(diagnosis.details[key])
     )
 
 

@@ -262,8 +262,7 @@ class Page:
 
     def write(self, path: str | Path) -> Path:
         """Write the page; a file that was there is replaced at the end."""
-        html = self.html()
-        write_text(path, html)
+        write_text(path, self.html())
         return Path(path)
 
 

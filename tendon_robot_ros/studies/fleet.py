@@ -251,8 +251,7 @@ def differences_of(old: FleetRow, new: FleetRow) -> list[str]:
         if first is None or then is None or name.split()[0] not in new.effects:
             continue
         if then[1] > first[2] or then[2] < first[1]:  # it has left its interval
-            unit = new.unit[new.parameter.index(name)]
-            scale, shown = _scale(unit, [first, then], name)
+            scale, shown = _scale(new, name, [first, then])
             ends = [
                 f'{digits(scale * v)} ({digits(scale * low)} to {digits(scale * high)})'
                 for v, low, high in (first, then)
@@ -261,8 +260,9 @@ def differences_of(old: FleetRow, new: FleetRow) -> list[str]:
     return texts
 
 
-def _scale(unit: str, values: npt.ArrayLike, name: str) -> tuple[float, str]:
-    """Return the factor and the unit that suit values, some of which may be infinite."""
+def _scale(row: FleetRow, name: str, values: npt.ArrayLike) -> tuple[float, str]:
+    """Return the factor and the unit that suit values of a parameter; some may be infinite."""
+    unit = row.unit[row.parameter.index(name)]
     sizes = np.abs(np.asarray(values, dtype=float))
     largest = float(sizes[np.isfinite(sizes)].max(initial=0.0))
     return scale_of(unit, largest, name.split()[-1])
@@ -347,8 +347,7 @@ def map_parameters(history: Sequence[FleetRow]) -> list[Figure]:
     for name in tracked(history):
         rows = [row for row in history if name in row.parameter]
         known = np.array([row.fitted(name) for row in rows])  # (r, 3) value, low, high
-        unit = rows[0].unit[rows[0].parameter.index(name)]
-        factor, unit = _scale(unit, known, name)
+        factor, unit = _scale(rows[0], name, known)
         value, low, high = factor * known.T
         bars = error_bars(
             plain(np.maximum(high - value, 0.0)), plain(np.maximum(value - low, 0.0))

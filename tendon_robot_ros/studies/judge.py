@@ -287,13 +287,9 @@ class Power:
 
 def methods(rows: Sequence[CaseRow]) -> Callable[[CaseRow], str]:
     """Return a function that describes how a case was measured, where that differs in the rows."""
-    parts: dict[str, Callable[[CaseRow], str]] = {
-        'design': lambda row: row.design,
-        'noise': lambda row: f'noise {row.noise}',
-        'level': lambda row: f'imperfections x {row.level:g}',
-    }
-    varying = [part for name, part in parts.items() if len({getattr(r, name) for r in rows}) > 1]
-    return lambda row: '; '.join(part(row) for part in varying)
+    words = {'design': '{}', 'noise': 'noise {}', 'level': 'imperfections x {:g}'}
+    varying = [name for name in words if len({getattr(row, name) for row in rows}) > 1]
+    return lambda row: '; '.join(words[name].format(getattr(row, name)) for name in varying)
 
 
 def powers(rows: Sequence[CaseRow]) -> list[Power]:
