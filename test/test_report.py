@@ -211,7 +211,7 @@ def test_a_page_holds_tables_boxes_and_figures():
     page = Page('a < b', 'sub')
     page.heading('one')
     page.box(['say `x < y`'], 'warn', 'look')
-    page.table(['name', 'rms'], [['a', '1']], ['strong'])
+    page.table([['name', 'rms'], ['a', '1']], ['strong'])
     page.figures([Figure([{'x': [1], 'y': ['</script>']}], {})], 'two')
     html = page.html()
     for part in ('<h1>a &lt; b</h1>', '<code>x &lt; y</code>', 'class="strong"', 'box warn'):
@@ -221,7 +221,7 @@ def test_a_page_holds_tables_boxes_and_figures():
 
 def test_tables_and_figures_tell_who_does_not_see_them_what_they_are():
     page = Page('x')
-    page.table(['model', 'rms'], [['FKM', '1 mm']])
+    page.table([['model', 'rms'], ['FKM', '1 mm']])
     page.figures([Figure([], {'xaxis': {'title': {'text': 'cell'}}}, caption='Per cell.')])
     root = ElementTree.fromstring(f'<div>{"".join(page.parts)}</div>')
     table = root.find('.//table')

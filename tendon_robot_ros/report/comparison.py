@@ -205,9 +205,8 @@ def add_verdict(page: Page, comparison: Comparison) -> None:
     """Add the verdict, the table of models and the tests between them."""
     lines = [verdict(comparison), capital(where_worst(comparison)), next_step(comparison)]
     page.box(filter(None, lines), 'verdict good' if is_good(comparison) else 'verdict')
-    header, *rows = model_rows(comparison, 'model')
     kinds = ['strong' if model is comparison.best else '' for model in comparison.models]
-    page.table(header, rows, [*kinds, 'faint'])
+    page.table(model_rows(comparison, 'model'), [*kinds, 'faint'])
     tests = [test for test in comparison.paired_t if test.posture is None]
     page.text(*(f'{capital(paired(test))}.' for test in tests))
     page.text(

@@ -206,7 +206,7 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
         kinds = [{'best': 'strong', 'rejected': 'faint'}.get(one.status, '') for one in candidates]
         with_arm = diagnosis_text.with_arm(diagnosis)
         with_what = 'the effect and the arm as it was found' if with_arm else 'the effect'
-        page.table(CANDIDATE_HEAD, [*map(candidate_row, candidates)], kinds, left=(5, 6))
+        page.table([CANDIDATE_HEAD, *map(candidate_row, candidates)], kinds, left=(5, 6))
         page.text(
             '“Explains” is the share of the error above the noise floor that goes away; “error '
             f'left” is that of the description with {with_what}; “left-out postures” is the error '

@@ -120,9 +120,8 @@ def improvement_page(improvement: Improvement, dataset: DataSet, catalogue: Cata
     page = Page(f'Improving {improvement.robot.name}', f'measurements: {improvement.data}')
     page.box(sentences(improvement), 'verdict good' if improvement.taken else 'verdict')
     page.figures([curve(improvement)])
-    header, *rows = step_table(improvement)
-    kinds = ['strong' if k == improvement.taken else '' for k in range(improvement.taken + 1)]
-    page.table(header, rows, kinds + ['faint'] * (len(rows) - len(kinds)), left=[0])
+    kinds = [*[''] * improvement.taken, 'strong', *['faint'] * len(improvement.steps)]
+    page.table(step_table(improvement), kinds, left=[0])
     page.heading('Values')
     page.text(*(f'`{name}`: {text}' for name, text in _values(improvement)))
     page.text(*map(capital, [*profile(improvement), *as_built(improvement.as_built)]))

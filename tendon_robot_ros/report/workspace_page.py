@@ -34,9 +34,6 @@ from .page import (
 )
 
 HEIGHT_NAMES = ('highest tip', 'median tip', 'lowest tip')
-FAMILY_COLUMNS = (
-    *('view', 'pair', 'towards', 'postures', 'tips across', 'tips along z', 'largest tension'),
-)
 # [1] of the cubes that the last tenth of the postures added (about one for every cube): where more
 # than one in 50 was new, the cloud still grows, so that more postures would change its size
 LATE_MAX = 0.02
@@ -49,7 +46,8 @@ SCALE = 'Cividis'  # read alike by all eyes, and in grey
 
 def rows(workspace: Workspace) -> list[list[str]]:
     """Return the table of the families: how many postures, where the tips are, which tension."""
-    table = []
+    names = 'view', 'pair', 'towards', 'postures', 'tips across', 'tips along z', 'largest tension'
+    table = [[*names]]
     for family in workspace.families:
         tension = float(family.tensions.max())
         full = ' (the limit)' if np.isclose(tension, workspace.limit) else ''
@@ -139,7 +137,7 @@ def workspace_page(workspace: Workspace) -> Page:
     if lacking:
         page.box(lacking, 'warn')
     if workspace.families:
-        page.table(FAMILY_COLUMNS, rows(workspace), left=(1, 2))
+        page.table(rows(workspace), left=(1, 2))
     for view in workspace.views:
         families = workspace.of(view)
         if not families:

@@ -201,7 +201,7 @@ def campaign_page(
     page = Page(title, f'{len(rows):,} of {total:,} cases')
     page.box(rate_lines(rows), 'verdict', 'In short, with 95 % intervals')
     if by_robot := robot_rows(rows):
-        page.table(by_robot[0], by_robot[1:], left=[0])
+        page.table(by_robot, left=[0])
     if mixed:
         page.box(mixed, 'warn', 'Rows of several versions')
 
@@ -209,29 +209,27 @@ def campaign_page(
     page.text(NAMED)
     curves = grouped(judge.powers(rows), lambda power: power.hidden)
     page.figures([power_figure(name, members) for name, members in curves.items()], 'many')
-    header: Sequence[str] = ('robot', 'effect', 'measured so', 'named in four of five cases')
-    members = chain.from_iterable(curves.values())
-    cells = [[one.robot, one.hidden, one.way or 'all', smallest_text(one)] for one in members]
-    page.table(header, cells, left=[0, 1, 2, 3])
+    cells = [['robot', 'effect', 'measured so', 'named in four of five cases']]
+    for one in chain.from_iterable(curves.values()):
+        cells.append([one.robot, one.hidden, one.way or 'all', smallest_text(one)])
+    page.table(cells, left=[0, 1, 2, 3])
 
     page.heading('What is said of what is hidden')
     page.figures([confusion_figure(rows)])
-    head, *of_hidden = hidden_rows(rows)
-    page.table(head, of_hidden, left=[0])
+    page.table(hidden_rows(rows), left=[0])
     page.text(HIDDEN_MEANING)
 
     page.heading('Intervals')
     page.figures([coverage_figure(rows)])
 
     page.heading('What postures, trials and markers cost')
-    header = ('measured so', 'effects seen', 'named', 'nothing hidden: said so', 'a diagnosis')
-    page.table(header, cost_rows(rows), left=[0])
+    page.table(cost_rows(rows), left=[0])
     return page
 
 
 def cost_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
     """Return a row per method of measurement over the same arms: rates and computing time."""
-    table = []
+    table = [['measured so', 'effects seen', 'named', 'nothing hidden: said so', 'a diagnosis']]
     for way, members in grouped(rows, judge.methods(rows)).items():
         hidden = [row for row in members if row.hidden not in (NOTHING, *CAUSES)]
         counted = (

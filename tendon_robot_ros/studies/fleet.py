@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     page = fleet_page(rows, f'Fleet: {folder.resolve().name}').write(output / PAGE)
     content = {'recordings': [asdict(row) for row in rows], 'changes': changes(rows)}
     left_out = [f'left out: {line}' for line in problems(rows)]
-    text = [columns([COLUMNS, *fleet_rows(rows)]), *change_lines(rows), *left_out]
+    text = [columns(fleet_rows(rows)), *change_lines(rows), *left_out]
     emit(args, content, '\n'.join([*text, f'written: {output}/table, {page}']))
     return 0
 
@@ -276,18 +276,15 @@ def words_of(row: FleetRow) -> str:
     return f'{row.verdict.replace("_", " ")}{": " + names if names else ""}'
 
 
-COLUMNS = ('robot', 'when', 'measurements', 'verdict', 'error', 'with it', 'noise floor')
-
-
 def fleet_rows(rows: Sequence[FleetRow]) -> list[list[str]]:
     """Return a row per recording that could be read; a time of its files is said to be that."""
-    told = '', ' (its files)'
-    return [
-        [row.robot, _readable(row.when) + told[row.dated_by == 'file'], row.place, words_of(row)]
-        + [mm(error) for error in (row.before, row.after, row.floor)]
-        for row in rows
-        if row.verdict != ERROR
-    ]
+    table = [['robot', 'when', 'measurements', 'verdict', 'error', 'with it', 'noise floor']]
+    for row in rows:
+        if row.verdict != ERROR:
+            when = _readable(row.when) + (' (its files)' if row.dated_by == 'file' else '')
+            errors = map(mm, (row.before, row.after, row.floor))
+            table.append([row.robot, when, row.place, words_of(row), *errors])
+    return table
 
 
 def _readable(when: str) -> str:
@@ -320,7 +317,7 @@ def fleet_page(rows: Sequence[FleetRow], title: str) -> Page:
     for robot, history in own.items():
         page.heading(robot)
         page.figures([error_figure(history), *map_parameters(history)], 'two')
-        page.table(COLUMNS[1:], [row[1:] for row in fleet_rows(history)], left=[0, 1, 2])
+        page.table([row[1:] for row in fleet_rows(history)], left=[0, 1, 2])
     return page
 
 

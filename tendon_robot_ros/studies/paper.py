@@ -34,7 +34,7 @@ from ..report import diagnosis_text
 from ..report.error_plots import angles, tip_boxes
 from ..report.page import Figure, Page, axes, curve, error_bars, mm_list, plain, titled
 from ..report.sentences import interval_name
-from ..report.workspace_page import FAMILY_COLUMNS, rows, view_figures
+from ..report.workspace_page import rows, view_figures
 from ..robot import Robot, load_robot
 from .friction import SlipFriction
 from .paper_motion import Assumed, MotionExperiment, Published, Range
@@ -219,7 +219,8 @@ PAPER_SOURCE = (
     'IEEE/ASME Transactions on Mechatronics 20 (2015), doi 10.1109/TMECH.2014.2372635. "Trials" '
     'on this page are simulated.'
 )
-ASSUMED = (  # what | assumed | why
+ASSUMED = (
+    'what | assumed | why',
     'slip angles (IV.A, Table II) | drawn: SD 0.03, read to 0.1° | only mean and n are printed',
     'wires of a group (Table I) | three at one place, arm 0.65 mm, 5 N each | '
     'gives the published 50 mm; others are shown',
@@ -279,11 +280,10 @@ def paper_page(paper: Paper) -> Page:
         f'leaves open; {len(contradicted)} are not met.'
     )
     page.box([verdict], 'verdict' if contradicted else 'verdict good')
-    page.table(ROW_COLUMNS, list(map(number_cells, table)), left=(1, 6, 7))
+    page.table([ROW_COLUMNS, *map(number_cells, table)], left=(1, 6, 7))
     page.heading('What is assumed')
     page.text('Tables I to IV of the paper are lost in the text that was used. Assumed instead:')
-    assumed = [line.split(' | ') for line in ASSUMED]
-    page.table(('what', 'assumed', 'why'), assumed, left=(1, 2))
+    page.table([line.split(' | ') for line in ASSUMED], left=(1, 2))
     add_motion(page, paper.motion)
     add_displacement(page, paper.displacement)
     add_tension(page, paper.tension)
@@ -306,16 +306,12 @@ def add_motion(page: Page, experiment: MotionExperiment) -> None:
     """Add section IV.B."""
     page.heading('IV.B Range of motion (figures 7 and 8)')
     page.text('The tips at the 180° view span 50 mm across, as published; here:')
-    page.table(
-        ('wires of a group', 'across', '"180°" within 1° to 5°'),
-        [
-            [one.name, mm(one.across), f'{mm(one.low)} to {mm(one.high)}']
-            for one in experiment.arrangements
-        ],
-        left=[0],
-    )
+    spans = [['wires of a group', 'across', '"180°" within 1° to 5°']]
+    for one in experiment.arrangements:
+        spans.append([one.name, mm(one.across), f'{mm(one.low)} to {mm(one.high)}'])
+    page.table(spans, left=[0])
     page.text('The 50 mm therefore rule out 5 N in all.')
-    page.table(FAMILY_COLUMNS, rows(experiment.workspace), left=(1, 2))
+    page.table(rows(experiment.workspace), left=(1, 2))
     for view, name in zip(Published.VIEW_ANGLES_RAD, ('Figure 8', 'Figure 7'), strict=True):
         families = experiment.workspace.of(view)
         page.text(f'{name}: the opposite-side pair, and the same side where it reaches the view.')
@@ -339,8 +335,8 @@ def add_motion(page: Page, experiment: MotionExperiment) -> None:
 def add_displacement(page: Page, experiment: DisplacementExperiment) -> None:
     """Add section IV.C."""
     page.heading('IV.C Posture by wire pull (figures 12 to 15)')
-    header = ('arrangement', 'arm', 'proximal / distal pull', 'tip z', 'FKM to PCCA')
-    cells = []
+    names = 'arrangement | arm | proximal / distal pull | tip z | FKM to PCCA | at all heights'
+    cells = [names.split(' | ')]
     for one in experiment.others:
         two = list(one.pair.indices)
         texts = (
@@ -350,7 +346,7 @@ def add_displacement(page: Page, experiment: DisplacementExperiment) -> None:
             ' to '.join(f'{1e3 * d:.1f}' for d in one.everywhere),
         )
         cells.append([one.pair.kind, mm(one.arm, 2), *(f'{text} mm' for text in texts)])
-    page.table((*header, 'at all heights'), cells, left=(2, 3, 4))
+    page.table(cells, left=(2, 3, 4))
     low, high = experiment.heights.everywhere
     page.text(
         'The published errors (5.9 and 23.7 mm) require 17.8 to 29.6 mm between the tips of FKM '
