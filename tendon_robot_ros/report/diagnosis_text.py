@@ -7,17 +7,16 @@ Every sentence comes from fields of the result.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from string import Formatter
 
 import numpy as np
 
 from ..common.words import columns, commands, counted, digits, listed, mm, percent, postures
 from ..diagnosis.add import Addition
-from ..diagnosis.result import Diagnosis, NextMeasurement
+from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding, NextMeasurement
 from ..diagnosis.verdict import P_SINGLE_MIN, SAME_ERROR_RATIO, SEPARABLE_FROM_SD, Verdict
 from ..inference.crossval import explained_fraction
-from ..inference.intervals import LoadVector, Value
 from ..robot.estimates import stiffnesses
 from .sentences import (
     amount,
@@ -124,19 +123,16 @@ def detail(key: str, known: str, usual: str) -> Callable[[Diagnosis], str]:
 
 def findings(diagnosis: Diagnosis) -> str:
     """Say what was found: 'a load of 29.9 ± 0.3 mN at the tip, along gravity (`tip_load`)'."""
-    return '; and '.join(
-        in_words(diagnosis, e.name, e.parameters, e.load) for e in diagnosis.effects
-    )
+    return '; and '.join(in_words(diagnosis, effect) for effect in diagnosis.effects)
 
 
-def in_words(
-    diagnosis: Diagnosis, name: str, values: Mapping[str, Value], load: LoadVector | None
-) -> str:
+def in_words(diagnosis: Diagnosis, found: EffectFinding | CandidateRow) -> str:
     """Say an effect with its values, in the words of its own file."""
-    words = diagnosis.details.get('effects_in_words', {}).get(name, {})
-    title, finding = words.get('title', name.replace('_', ' ')), words.get('finding', '')
-    pushes = diagnosis.details.get('pushes', {}).get(name, ())
-    return f'{finding_words(title, finding, values, load, pushes)} (`{name}`)'
+    words = diagnosis.details.get('effects_in_words', {}).get(found.name, {})
+    title, finding = words.get('title', found.name.replace('_', ' ')), words.get('finding', '')
+    pushes = diagnosis.details.get('pushes', {}).get(found.name, ())
+    said = finding_words(title, finding, found.parameters, found.load, pushes)
+    return f'{said} (`{found.name}`)'
 
 
 def as_written(diagnosis: Diagnosis) -> str:
@@ -152,14 +148,10 @@ def as_written(diagnosis: Diagnosis) -> str:
 
 def class_lines(diagnosis: Diagnosis) -> str:
     """Return a line for each effect that explains the measurements as well, the best first."""
-    rows = {row.name: row for row in diagnosis.candidates}
-    best = {e.name: (e.parameters, e.load) for e in diagnosis.effects}
-    lines = []
-    for name in diagnosis.cannot_tell_apart:
-        row = rows.get(name)
-        values, load = best.get(name, ({}, None) if row is None else (row.parameters, row.load))
-        lines.append(f'- {in_words(diagnosis, name, values, load)}')
-    return '\n'.join(lines)
+    found: list[CandidateRow | EffectFinding] = [*diagnosis.candidates, *diagnosis.effects]
+    known = {one.name: one for one in found}
+    alike = [known.get(name, EffectFinding(name, {}, 0.0)) for name in diagnosis.cannot_tell_apart]
+    return '\n'.join(f'- {in_words(diagnosis, one)}' for one in alike)
 
 
 def explained_part(diagnosis: Diagnosis) -> str:

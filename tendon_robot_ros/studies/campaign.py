@@ -163,8 +163,8 @@ def interval_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
     refused = collections.Counter((row.robot, row.hidden) for row in rows if row.problem)
     table = [['intervals of', 'hold', 'of', 'not determined']]
     for (robot, hidden, name), every in sorted(hits.items()):
-        held, of, not_told = f'{np.mean(every):.1%}', f'{len(every)}', f'{refused[robot, hidden]}'
-        table.append([f'{robot}: {hidden} {name}', held, of, not_told])
+        counts = f'{np.mean(every):.1%}', f'{len(every)}', f'{refused[robot, hidden]}'
+        table.append([f'{robot}: {hidden} {name}', *counts])
     return table
 
 

@@ -307,8 +307,8 @@ def add_motion(page: Page, experiment: MotionExperiment) -> None:
     page.heading('IV.B Range of motion (figures 7 and 8)')
     page.text('The tips at the 180° view span 50 mm across, as published; here:')
     spans = [['wires of a group', 'across', '"180°" within 1° to 5°']]
-    for one in experiment.arrangements:
-        spans.append([one.name, mm(one.across), f'{mm(one.low)} to {mm(one.high)}'])
+    for wires in experiment.arrangements:
+        spans.append([wires.name, mm(wires.across), f'{mm(wires.low)} to {mm(wires.high)}'])
     page.table(spans, left=[0])
     page.text('The 50 mm therefore rule out 5 N in all.')
     page.table(rows(experiment.workspace), left=(1, 2))
