@@ -248,8 +248,7 @@ def power_figure(name: str, powers_of_it: Sequence[Power]) -> Figure:
     data: list[dict[str, Any]] = []
     for i, power in enumerate(powers_of_it):
         label = '; '.join(filter(None, (power.robot if several else '', power.way)))
-        rates = [100.0 * (rate.share or 0.0) for rate in power.right]
-        bars, size = rate_bars(power.right), 7 + 3 * min(i, 3)  # none hides another
+        (rates, bars), size = percentages(power.right), 7 + 3 * min(i, 3)  # none hides another
         line = curve(list(power.sizes), rates, label, line_style(i), size=size, error_y=bars)
         data.append({**line, 'showlegend': len(powers_of_it) > 1})
     x, y = titled('size, times the typical one', type='log'), titled('named [%]', range=[-4, 104])
@@ -258,11 +257,11 @@ def power_figure(name: str, powers_of_it: Sequence[Power]) -> Figure:
     return Figure(data, layout, name, caption, 300 + 24 * len(data))
 
 
-def rate_bars(counted: Sequence[Rate]) -> dict[str, Any]:
-    """Return the 95 % intervals of rates [%]."""
-    both = [(rate.share or 0.0, *rate.interval) for rate in counted]
-    up = [100.0 * (high - fraction) for fraction, _, high in both]
-    return error_bars(up, [100.0 * (fraction - low) for fraction, low, _ in both], width=3)
+def percentages(counted: Sequence[Rate]) -> tuple[list[float], dict[str, Any]]:
+    """Return rates [%], and their 95 % intervals as bars."""
+    share, low, high = np.array([(rate.share or 0.0, *rate.interval) for rate in counted]).T
+    up, down = (100.0 * (high - share)).tolist(), (100.0 * (share - low)).tolist()
+    return (100.0 * share).tolist(), error_bars(up, down, width=3)
 
 
 def confusion_figure(rows: Sequence[CaseRow]) -> Figure:
@@ -293,14 +292,14 @@ def coverage_figure(rows: Sequence[CaseRow]) -> Figure:
     """Draw the coverage of intervals over their nominal confidence."""
     counted = judge.coverage(rows)
     held = [rate for _, rate in counted]
-    rates = [100.0 * (rate.share or 0.0) for rate in held]
+    rates, bars = percentages(held)
     low = max(0.0, min([40.0, *(percentage - 15.0 for percentage in rates)]))
     ends, promised = [low, 104.0], [100.0 * nominal for nominal, _ in counted]
     line = {'color': ERROR, 'width': 2, 'dash': 'dot'}
     area: Trace = {'fill': 'toself', 'fillcolor': BAND, 'hoverinfo': 'skip', 'line': {'width': 0}}
     style: Trace = {'line': {'color': PREDICTED}, 'marker': {'size': 8}}
     style |= {'text': [f'{percentage:.0f} %' for percentage in rates], 'textposition': 'top left'}
-    style['error_y'] = rate_bars(held)
+    style['error_y'] = bars
     traces = [
         trace([low, 104.0, 104.0], [low, 104.0, low], 'too narrow', **area),
         trace(ends, ends, 'as promised', line=line),
