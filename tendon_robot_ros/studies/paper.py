@@ -156,9 +156,9 @@ def friction_numbers() -> Iterator[Number]:
 
 def motion_numbers(experiment: MotionExperiment) -> Iterator[Number]:
     """Return the ranges and the cost of stiff tendons of section IV.B."""
-    first = next(one for one in experiment.arrangements if one.across > 0.0)
-    why = f'opposite-side pair, {first.name}; the range is over ±1° to ±5° for "180°"'
-    ours = (first.across, first.low, first.high)
+    reached = {name: ours for name, ours in experiment.arrangements.items() if ours[0] > 0.0}
+    name, ours = next(iter(reached.items()))
+    why = f'opposite-side pair, {name}; the range is over ±1° to ±5° for "180°"'
     yield Number.of('IV.B', 'tip positions at the 180° view, across', 'mm', 50.0, ours, why)
     bends = [one.bending[0] for one in (experiment.stiffening, experiment.every_tendon)]
     what = 'cost of ignoring the tendons’ stiffness (A7), proximal bends'
@@ -307,8 +307,8 @@ def add_motion(page: Page, experiment: MotionExperiment) -> None:
     page.heading('IV.B Range of motion (figures 7 and 8)')
     page.text('The tips at the 180° view span 50 mm across, as published; here:')
     spans = [['wires of a group', 'across', '"180°" within 1° to 5°']]
-    for wires in experiment.arrangements:
-        spans.append([wires.name, mm(wires.across), f'{mm(wires.low)} to {mm(wires.high)}'])
+    for name, (across, low, high) in experiment.arrangements.items():
+        spans.append([name, mm(across), f'{mm(low)} to {mm(high)}'])
     page.table(spans, left=[0])
     page.text('The 50 mm therefore rule out 5 N in all.')
     page.table(rows(experiment.workspace), left=(1, 2))
