@@ -24,7 +24,6 @@ from tendon_robot_ros.studies.cases import (
     hidden_values,
     is_visible,
     seeds_of,
-    simulated,
 )
 from tendon_robot_ros.studies.judge import (
     CaseRow,
@@ -173,18 +172,16 @@ def test_what_is_hidden_grows_with_its_size_and_sections_differ():
 
 @pytest.mark.parametrize('hidden', ['tip_load', 'friction_memory'])
 def test_a_hidden_effect_of_a_typical_size_is_visible(hidden):
-    setup, catalogue = plan().setup, load_catalogue()
+    setup = replace(plan().setup, seed=0)
     case = Case(setup.arms[0].robot.name, hidden, 1.0, 0, level=0.0, exact=True)
-    noise = setup.noises[0][1]
-    sim = simulated(case, setup.arms[0], setup.designs[0], noise, catalogue)
-    assert is_visible(case, sim)
+    assert is_visible(case, setup.simulated(case))
 
 
 def test_markers_are_evenly_spaced_up_to_the_tip():
-    made = plan(designs=[{'postures': 4, 'trials': 2, 'markers': 2}])
-    arm = made.setup.arms[0]
+    setup = plan(designs=[{'postures': 4, 'trials': 2, 'markers': 2}]).setup
+    arm = setup.arms[0]
     case = Case(arm.robot.name, 'none', 0.0, 0, level=0.0)
-    data = simulated(case, arm, made.setup.designs[0], made.setup.noises[0][1], load_catalogue())
+    data = setup.simulated(case)
     places = [marker.arc_length for marker in data.fit.markers]
     assert places == pytest.approx([arm.robot.length / 2.0, arm.robot.length])
     assert Design('x').placed(arm.robot) is None
@@ -307,16 +304,16 @@ def test_the_command_writes_table_and_page_and_goes_on(tmp_path, capsys, monkeyp
     (tmp_path / 'plan.yaml').write_text(yaml.safe_dump(content))
     call = ['study', 'campaign', str(tmp_path / 'plan.yaml'), '--output', str(tmp_path / 'out')]
 
-    seen = []
+    seen, simulated = [], judge.Setup.simulated
 
-    def stop_at_second(*arguments, **options):
+    def stop_at_second(setup, case):
         seen.append(1)
         if len(seen) == 2:
             raise KeyboardInterrupt
-        return simulated(*arguments, **options)
+        return simulated(setup, case)
 
     with monkeypatch.context() as patch:
-        patch.setattr(judge, 'simulated', stop_at_second)
+        patch.setattr(judge.Setup, 'simulated', stop_at_second)
         assert main([*call, '--workers', '1']) == 130
     assert 'stopped: 1 of 2 cases are in' in capsys.readouterr().err
     assert '1 of 2 cases' in (tmp_path / 'out' / 'campaign.html').read_text()

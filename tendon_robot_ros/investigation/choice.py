@@ -65,8 +65,6 @@ class Room:
         The model may be off the more the farther from the base; between two places of the path a
         point leaves both by at most half of the distance between them.
         """
-        if not self.regions:
-            return True
         off = self.margin * np.linspace(0.0, 1.0, points.shape[1])
         moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=0, initial=0.0)
         return bool((self.regions.distances(points) >= off + 0.5 * moved).all())

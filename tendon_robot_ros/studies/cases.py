@@ -6,7 +6,6 @@ import itertools
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -19,9 +18,7 @@ from ..inference.noise import Whitener, estimate_noise, input_slopes
 from ..inference.predict import Predictor
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
-from ..simulation.hidden import CAUSES, Built, Workmanship, chosen
-from ..simulation.measurements import SimulatedNoise, simulate
-from ..simulation.plant import make_plant
+from ..simulation.hidden import CAUSES, Built, chosen
 from ..workspace.postures import SEQUENCE_FACTOR, default_postures
 
 HiddenSizes = dict[str, float | list[float]]
@@ -191,54 +188,6 @@ def hidden_values(
         else:
             values[parameter.name] = float(np.clip(value, parameter.low, parameter.high))
     return values
-
-
-def simulated(
-    case: Case,
-    arm: PlannedRobot,
-    design: Design,
-    noise: SimulatedNoise,
-    catalogue: Catalogue,
-    seed: int = 0,
-    own_model: bool = False,
-) -> Simulated:
-    """
-    Build the arm of a case and measure it, and once more in other postures.
-
-    Parameters
-    ----------
-    case : Case
-    arm : PlannedRobot
-    design : Design
-    noise : SimulatedNoise
-    catalogue : Catalogue
-    seed : int
-        Of the plan.
-    own_model : bool
-        The arm is one of the model itself, of the same cells and laws, so that nothing but noise
-        moves what is fitted.
-
-    Raises
-    ------
-    TendonRobotError
-        The hidden effect cannot be, or the arm has no equilibrium.
-
-    """
-    robot = described(case, arm, catalogue)
-    of_arm, of_fit, of_check, of_hidden = seeds_of(case, seed)
-    values = hidden_values(case.hidden, case.size, robot, catalogue, of_hidden)
-    work = Workmanship().times(case.level) if case.level else None
-    options: dict[str, Any] = {'refine': 1, 'capstan': False} if own_model else {}
-    options |= {'scatter': case.scatter, 'seed': of_arm, 'catalogue': catalogue, 'work': work}
-    plant = make_plant(robot, {} if case.hidden == NOTHING else {case.hidden: values}, **options)
-    trials = design.trials if design.data is None else int(design.data.positions.shape[1])
-    sets = []
-    for which, own in enumerate((of_fit, of_check)):
-        inputs, kind, path = postures_of(case, robot, design, catalogue, which)
-        how: dict[str, Any] = {'input': kind, 'path': path, 'markers': design.placed(robot)}
-        one = simulate(plant, inputs, noise=noise, trials=trials, seed=own, **how)
-        sets.append(with_lost_readings(one, own) if case.level else one)
-    return Simulated(robot, sets[0], sets[1], values, plant.built, catalogue)
 
 
 def postures_of(
