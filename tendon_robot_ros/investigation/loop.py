@@ -251,8 +251,7 @@ class Investigation:
     def judge(self) -> InvestigationEnd | None:
         """Diagnose the measurements; return why the investigation ends, None if it goes on."""
         dataset = self.record.dataset
-        attend = self.arm.attend
-        diagnosis = diagnose(dataset, None, self.catalogue, progress=lambda *_: attend())
+        diagnosis = diagnose(dataset, None, self.catalogue, progress=lambda *_: self.arm.attend())
         self.diagnosis = diagnosis
         length = self.arm.robot.length
         if diagnosis.verdict.judged and np.isfinite(diagnosis.error_after):
