@@ -74,15 +74,15 @@ def test_processes_say_the_same_bit_for_bit_in_another_order_and_from_where_they
 
 @pytest.mark.long
 def test_a_case_that_fails_is_counted_and_others_go_on(rows, tmp_path, monkeypatch):
-    asked, real = [], judge.simulated
+    asked, simulated = [], judge.Setup.simulated
 
-    def second_fails(*arguments, **options):
+    def second_fails(setup, case):
         asked.append(1)
         if len(asked) == 2:
             raise ValueError('a mistake of this program')
-        return real(*arguments, **options)
+        return simulated(setup, case)
 
-    monkeypatch.setattr(judge, 'simulated', second_fails)
+    monkeypatch.setattr(judge.Setup, 'simulated', second_fails)
     with Workers() as workers:
         found = run_plan(plan(), tmp_path / 'out', workers)
         assert run_plan(plan(), tmp_path / 'out', workers) == found  # it is not judged again
