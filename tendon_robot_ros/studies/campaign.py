@@ -297,9 +297,8 @@ def coverage_figure(rows: Sequence[CaseRow]) -> Figure:
     ends, promised = [low, 104.0], [100.0 * nominal for nominal, _ in counted]
     line = {'color': ERROR, 'width': 2, 'dash': 'dot'}
     area: Trace = {'fill': 'toself', 'fillcolor': BAND, 'hoverinfo': 'skip', 'line': {'width': 0}}
-    style: Trace = {'line': {'color': PREDICTED}, 'marker': {'size': 8}}
+    style: Trace = {'line': {'color': PREDICTED}, 'marker': {'size': 8}, 'error_y': bars}
     style |= {'text': [f'{percentage:.0f} %' for percentage in rates], 'textposition': 'top left'}
-    style['error_y'] = bars
     traces = [
         trace([low, 104.0, 104.0], [low, 104.0, low], 'too narrow', **area),
         trace(ends, ends, 'as promised', line=line),
