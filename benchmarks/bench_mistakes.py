@@ -28,7 +28,7 @@ from tendon_robot_ros.diagnosis.setup_hypotheses import in_frame
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.robot.estimates import natural_sizes
-from tendon_robot_ros.studies.cases import Case, simulated
+from tendon_robot_ros.studies.cases import Case
 from tendon_robot_ros.studies.judge import NAMING
 from tendon_robot_ros.studies.plan import read_plan
 
@@ -252,7 +252,7 @@ def arm(name: str, weighed: bool, level: float, seed: int, hidden: str) -> DataS
         robot = planned.robot.with_effect('gravity', {heavy.name: 3.0 * heavy.typical})
         planned = replace(planned, robot=replace(robot, gravity=planned.down))
     case = Case(name, hidden, 1.0, seed, level=level)
-    return simulated(case, planned, setup.designs[0], setup.noises[0][1], catalogue).fit
+    return replace(setup, arms=(planned,), seed=0).simulated(case).fit
 
 
 def laid_onto_the_model(dataset: DataSet) -> DataSet:

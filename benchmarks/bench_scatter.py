@@ -12,6 +12,7 @@ example: python benchmarks/bench_scatter.py --arms 60
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
-from tendon_robot_ros.studies.cases import NOTHING, Case, simulated
+from tendon_robot_ros.studies.cases import NOTHING, Case
 from tendon_robot_ros.studies.judge import built_sizes, scatter_held
 from tendon_robot_ros.studies.plan import read_plan
 from tendon_robot_ros.workspace.postures import default_postures
@@ -77,8 +78,7 @@ def fitted(name, hidden, number, level, seed):
     plan = 'diagnosis_spatial' if name == 'spatial_3' else 'diagnosis'
     setup, catalogue = read_plan(PLANS / f'{plan}.yaml').setup, load_catalogue()
     case = Case(name, hidden, SIZE, number, level=level)
-    design, noise = setup.designs[0], setup.noises[0][1]
-    made = simulated(case, setup.arm(name), design, noise, catalogue, seed)
+    made = replace(setup, seed=seed).simulated(case)
     session, fit = Question.of(made.fit, made.robot, catalogue).weigh({}), None
     session = session.without(find_outliers(session.predictor, {}))
     frees = [c.frees for c in session.candidates if c.names == (hidden,)]

@@ -25,7 +25,7 @@ from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
-from tendon_robot_ros.studies.cases import Case, simulated
+from tendon_robot_ros.studies.cases import Case
 from tendon_robot_ros.studies.plan import read_plan
 from tendon_robot_ros.workspace.postures import default_postures
 
@@ -236,17 +236,13 @@ def levels_case(key):
     """Return what a campaign measures in one of its cases, and the arm as it was built."""
     plan = read_plan(PLANS / 'diagnosis_levels.yaml')
     case = next(case for case in plan.cases if case.key == key)
-    setup = plan.setup
-    design, noise = setup.designs[case.design], setup.noises[case.noise][1]
-    return simulated(case, setup.arm(case.robot), design, noise, CATALOGUE, setup.seed)
+    return plan.setup.simulated(case)
 
 
 def test_a_soft_cell_is_looked_for_beyond_where_friction_turns_over():
     """On the near side it gains 5 over no effect."""
-    setup = read_plan(PLANS / 'diagnosis.yaml').setup
-    hides = Case('hinged', 'soft_cell', 0.65, 3)
-    noise = setup.noises[0][1]
-    made = simulated(hides, setup.arm('hinged'), setup.designs[0], noise, CATALOGUE, 71)
+    setup = replace(read_plan(PLANS / 'diagnosis.yaml').setup, seed=71)
+    made = setup.simulated(Case('hinged', 'soft_cell', 0.65, 3))
     session = Question.of(made.fit, made.robot, CATALOGUE).weigh({})
     session = session.without(find_outliers(session.predictor, {}))
     base = session.fitter.over_reversals(session.base_fit())
@@ -279,10 +275,8 @@ def test_a_fit_looks_beyond_where_friction_turns_over():
 @pytest.mark.slow  # test_a_fit_looks_beyond_where_friction_turns_over is the same at one place
 def test_fits_look_beyond_turns_of_friction_at_the_last_weights_too():
     """There was nothing beyond them at the weights before; the other side is 28 better."""
-    setup = read_plan(PLANS / 'diagnosis.yaml').setup
-    hidden = Case('hinged', 'nonlinear_stiffness', 0.5662455489603104, 0)
-    noise = setup.noises[0][1]
-    made = simulated(hidden, setup.arm('hinged'), setup.designs[0], noise, CATALOGUE, seed=53)
+    setup = replace(read_plan(PLANS / 'diagnosis.yaml').setup, seed=53)
+    made = setup.simulated(Case('hinged', 'nonlinear_stiffness', 0.5662455489603104, 0))
     found = diagnose(made.fit, catalogue=CATALOGUE)
     assert found.verdict == 'missing_effect'
     assert [effect.name for effect in found.effects] == ['nonlinear_stiffness']

@@ -20,11 +20,10 @@ from tendon_robot_ros.studies import campaign, judge
 from tendon_robot_ros.studies.campaign import robot_rows, summary
 from tendon_robot_ros.studies.cases import (
     Case,
-    Chance,
     Design,
     hidden_values,
     is_visible,
-    simulated,
+    seeds_of,
 )
 from tendon_robot_ros.studies.judge import (
     CaseRow,
@@ -75,15 +74,15 @@ def test_processes_say_the_same_bit_for_bit_in_another_order_and_from_where_they
 
 @pytest.mark.long
 def test_a_case_that_fails_is_counted_and_others_go_on(rows, tmp_path, monkeypatch):
-    asked, real = [], judge.simulated
+    asked, simulated = [], judge.Setup.simulated
 
-    def second_fails(*arguments, **options):
+    def second_fails(setup, case):
         asked.append(1)
         if len(asked) == 2:
             raise ValueError('a mistake of this program')
-        return real(*arguments, **options)
+        return simulated(setup, case)
 
-    monkeypatch.setattr(judge, 'simulated', second_fails)
+    monkeypatch.setattr(judge.Setup, 'simulated', second_fails)
     with Workers() as workers:
         found = run_plan(plan(), tmp_path / 'out', workers)
         assert run_plan(plan(), tmp_path / 'out', workers) == found  # it is not judged again
@@ -154,10 +153,10 @@ def test_a_plan_with_a_mistake_is_refused_in_one_line(change, message):
 
 def test_chance_depends_on_the_case_and_not_on_the_design():
     one = Case('arm', 'tip_load', 0.3, 4)
-    assert Chance.of(one, 0) == Chance.of(replace(one, design=3, level=0.0), 0)
-    others = [Chance.of(one, 1), Chance.of(replace(one, number=5), 0),
-              Chance.of(replace(one, size=0.4), 0)]  # fmt: skip
-    assert len({Chance.of(one, 0), *others}) == 4
+    assert seeds_of(one, 0) == seeds_of(replace(one, design=3, level=0.0), 0)
+    others = [seeds_of(one, 1), seeds_of(replace(one, number=5), 0),
+              seeds_of(replace(one, size=0.4), 0)]  # fmt: skip
+    assert len({seeds_of(one, 0), *others}) == 4
 
 
 def test_what_is_hidden_grows_with_its_size_and_sections_differ():
@@ -173,18 +172,16 @@ def test_what_is_hidden_grows_with_its_size_and_sections_differ():
 
 @pytest.mark.parametrize('hidden', ['tip_load', 'friction_memory'])
 def test_a_hidden_effect_of_a_typical_size_is_visible(hidden):
-    setup, catalogue = plan().setup, load_catalogue()
-    case = Case(setup.arms[0].name, hidden, 1.0, 0, level=0.0, exact=True)
-    noise = setup.noises[0][1]
-    sim = simulated(case, setup.arms[0], setup.designs[0], noise, catalogue)
-    assert is_visible(case, sim)
+    setup = replace(plan().setup, seed=0)
+    case = Case(setup.arms[0].robot.name, hidden, 1.0, 0, level=0.0, exact=True)
+    assert is_visible(case, setup.simulated(case))
 
 
 def test_markers_are_evenly_spaced_up_to_the_tip():
-    made = plan(designs=[{'postures': 4, 'trials': 2, 'markers': 2}])
-    arm = made.setup.arms[0]
-    case = Case(arm.name, 'none', 0.0, 0, level=0.0)
-    data = simulated(case, arm, made.setup.designs[0], made.setup.noises[0][1], load_catalogue())
+    setup = plan(designs=[{'postures': 4, 'trials': 2, 'markers': 2}]).setup
+    arm = setup.arms[0]
+    case = Case(arm.robot.name, 'none', 0.0, 0, level=0.0)
+    data = setup.simulated(case)
     places = [marker.arc_length for marker in data.fit.markers]
     assert places == pytest.approx([arm.robot.length / 2.0, arm.robot.length])
     assert Design('x').placed(arm.robot) is None
@@ -307,16 +304,16 @@ def test_the_command_writes_table_and_page_and_goes_on(tmp_path, capsys, monkeyp
     (tmp_path / 'plan.yaml').write_text(yaml.safe_dump(content))
     call = ['study', 'campaign', str(tmp_path / 'plan.yaml'), '--output', str(tmp_path / 'out')]
 
-    seen = []
+    seen, simulated = [], judge.Setup.simulated
 
-    def stop_at_second(*arguments, **options):
+    def stop_at_second(setup, case):
         seen.append(1)
         if len(seen) == 2:
             raise KeyboardInterrupt
-        return simulated(*arguments, **options)
+        return simulated(setup, case)
 
     with monkeypatch.context() as patch:
-        patch.setattr(judge, 'simulated', stop_at_second)
+        patch.setattr(judge.Setup, 'simulated', stop_at_second)
         assert main([*call, '--workers', '1']) == 130
     assert 'stopped: 1 of 2 cases are in' in capsys.readouterr().err
     assert '1 of 2 cases' in (tmp_path / 'out' / 'campaign.html').read_text()

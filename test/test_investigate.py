@@ -141,7 +141,7 @@ def test_once_only_an_interval_is_too_wide_the_posture_that_narrows_it_is_chosen
     def widest(choice):
         design = LinearDesign(question, empty, catalogue)
         shown = dict(zip(map(tuple, rows.tolist()), design.offered(rows)[1], strict=True))
-        precision = np.eye(design.size)
+        precision = np.eye(shown[tuple(rows[0].tolist())].shape[1])
         for inputs, _ in choice:
             own = shown[tuple(inputs.tolist())]
             precision += own.T @ own
@@ -173,8 +173,12 @@ def found(tmp_path_factory):
     folder = tmp_path_factory.mktemp('investigation') / 'found'
     said = []
     subject = arm({'hinge_friction': {}}, lost=0.25)
-    made = Investigation(subject, Goal(tension_max=0.8), folder, report=said.append).run()
-    return subject, made, folder, [news.text for news in said]
+
+    def report(kind, text, content):
+        said.append(text)
+
+    made = Investigation(subject, Goal(tension_max=0.8), folder, report=report).run()
+    return subject, made, folder, said
 
 
 @pytest.mark.long
@@ -310,7 +314,7 @@ def test_adequate_is_not_said_while_an_effect_may_move_the_tip_unseen():
     subject = arm({'pre_curvature': {'angle_x': 0.004}}, seed=102)
     said = []
     goal = Goal(postures=6, checks=0)
-    made = Investigation(subject, goal, report=lambda news: said.append(news.text)).run()
+    made = Investigation(subject, goal, report=lambda kind, text, _: said.append(text)).run()
     first, last = made.record.rounds[0], made.record.rounds[-1]
     assert first.verdict == 'adequate' and 'pre_curvature' in first.possible
     assert any('adequate, but not excluded: ' in text for text in said)
@@ -335,10 +339,11 @@ def test_a_visible_effect_that_is_left_possible_keeps_the_question_open():
 def test_postures_keep_out_of_a_region_on_their_whole_way():
     robot = load_robot(KATO)
     model, goal = Model(robot), Goal()
-    everywhere = pool(robot, goal, 'tension', 'from_straight', model, Room())
+    empty = empty_dataset(SimulatedArm(make_plant(robot, {}, scatter=0.0)), 'none', 1)
+    everywhere = pool(model, goal, Room(), empty)
     tips = model.shapes(everywhere).tip_position
     away = KeepOut((Region('lamp', Sphere(tuple(tips[10].tolist()), 0.03)),))
-    kept = pool(robot, goal, 'tension', 'from_straight', model, Room(away, 0.005))
+    kept = pool(model, goal, Room(away, 0.005), empty)
     assert 0 < len(kept) < len(everywhere)
     low = robot.tension_limits[0]
     for share in np.linspace(0.0, 1.0, 37):

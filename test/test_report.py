@@ -20,10 +20,12 @@ from tendon_robot_ros.comparison.result import load_comparison
 from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.report import page as page_module
 from tendon_robot_ros.report.comparison import (
+    DrawnPosture,
     chosen_postures,
     comparison_page,
     is_planar,
-    shape_figures,
+    scene_figure,
+    side_figure,
 )
 from tendon_robot_ros.report.error_plots import Step, staircase
 from tendon_robot_ros.report.page import Figure, Page, Shown
@@ -41,6 +43,10 @@ def compared(folder, pcca=True):
 @pytest.fixture(scope='module')
 def planar():
     return compared(blind('b') / 'fit')
+
+
+def drawn_postures(comparison):
+    return [DrawnPosture(comparison, p, (), {}) for p in chosen_postures(comparison)]
 
 
 def figures(page):
@@ -72,14 +78,16 @@ def test_every_axis_of_every_figure_has_a_unit_or_counts_something(planar):
         for name in ('xaxis', 'yaxis'):
             title = figure['layout'][name].get('title', {}).get('text')
             assert title in counted or re.search(r'\[(mm|°)\]$', title), title
-    scene = shape_figures(compared(blind('e') / 'fit'))[0][0][0].layout['scene']
+    spatial = compared(blind('e') / 'fit')
+    scene = scene_figure(spatial, drawn_postures(spatial)).layout['scene']
     assert [scene[f'{a}axis']['title']['text'] for a in 'xyz'] == ['x [mm]', 'y [mm]', 'z [mm]']
 
 
 def test_a_spatial_arm_is_seen_across_the_plane_in_which_it_bends():
     tentacle = compared(ROOT / 'data' / 'tentacle', pcca=False)
     p = tentacle.measured.postures.index('m2_u025')
-    ((scene,), _), (sides, _) = shape_figures(tentacle)
+    postures = drawn_postures(tentacle)
+    scene, sides = scene_figure(tentacle, postures), [*map(side_figure, postures)]
     menu = scene.layout['updatemenus'][0]
     drawn = chosen_postures(tentacle)
     assert menu['active'] == drawn.index(p)  # the worst
@@ -203,7 +211,7 @@ def test_a_page_holds_tables_boxes_and_figures():
     page = Page('a < b', 'sub')
     page.heading('one')
     page.box(['say `x < y`'], 'warn', 'look')
-    page.table(['name', 'rms'], [['a', '1']], ['strong'])
+    page.table([['name', 'rms'], ['a', '1']], ['strong'])
     page.figures([Figure([{'x': [1], 'y': ['</script>']}], {})], 'two')
     html = page.html()
     for part in ('<h1>a &lt; b</h1>', '<code>x &lt; y</code>', 'class="strong"', 'box warn'):
@@ -213,7 +221,7 @@ def test_a_page_holds_tables_boxes_and_figures():
 
 def test_tables_and_figures_tell_who_does_not_see_them_what_they_are():
     page = Page('x')
-    page.table(['model', 'rms'], [['FKM', '1 mm']])
+    page.table([['model', 'rms'], ['FKM', '1 mm']])
     page.figures([Figure([], {'xaxis': {'title': {'text': 'cell'}}}, caption='Per cell.')])
     root = ElementTree.fromstring(f'<div>{"".join(page.parts)}</div>')
     table = root.find('.//table')

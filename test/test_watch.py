@@ -608,13 +608,17 @@ def test_what_an_alarm_knows_reaches_an_investigation_whole(known):
 def test_after_an_alarm_the_postures_tell_what_has_changed_and_no_effect_is_made_of_it(known):
     """A gain 3 % off: no description has it, and nothing is diagnosed."""
     plant, said = changed({}, 0.03), []
+
+    def report(kind, text, content):
+        said.append(text)
+
     finder = load_change(dump_change(alarmed(known, plant)), load_catalogue())
     subject = SimulatedArm(plant, seed=2)
-    made = Investigation(subject, Goal(), report=said.append, change=finder).run()
+    made = Investigation(subject, Goal(), report=report, change=finder).run()
     assert made.outcome is InvestigationEnd.CHANGED
     assert made.record.outcome['names'] == [f'gain of {ROBOT.inputs[1]}']
     assert made.record.changed[0]['values']['relative_change'] == pytest.approx(0.03, abs=0.01)
     assert made.diagnosis is None and made.addition is None
     assert len(made.dataset.postures) <= 6
-    assert 'monitor/learn' in said[-1].text
+    assert 'monitor/learn' in said[-1]
     assert subject.released == 1

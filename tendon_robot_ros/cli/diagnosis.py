@@ -170,8 +170,7 @@ class Diagnose:
         outcome = outcome_of(args.add, diagnosis, added, may_add) if args.add else ''
         lines += [outcome] if outcome else []
         if args.report:
-            better = None if added is None else added.robot
-            pictures = pictures_of(diagnosis, dataset, catalogue, better)
+            pictures = pictures_of(diagnosis, dataset, catalogue, added)
             said = outcome.replace('    ', '; ')
             diagnosis_page(diagnosis, pictures, added, said).write(args.report)
             lines.append(f'report: {args.report}')

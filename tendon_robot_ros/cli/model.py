@@ -329,14 +329,14 @@ def sweep_pairs(args: argparse.Namespace, model: Model) -> Result:
 
 def text(workspace: Workspace) -> list[str]:
     """Return the table of pairs and what to know."""
-    from ..report.workspace_page import FAMILY_COLUMNS, missing, rows
+    from ..report.workspace_page import missing, rows
 
     size = (
         f'{workspace.postures:,} postures, {workspace.step:g} N apart up to {workspace.limit:g} N'
     )
     lines = [f'{size}, others at {workspace.pretension:g} N', *missing(workspace)]
     if workspace.families:
-        lines.append(columns([FAMILY_COLUMNS, *rows(workspace)]))
+        lines.append(columns(rows(workspace)))
     if workspace.unsolved:
         lines.append(f'without equilibrium and left out: {workspace.unsolved:,}')
     return lines

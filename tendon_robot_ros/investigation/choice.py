@@ -65,8 +65,6 @@ class Room:
         The model may be off the more the farther from the base; between two places of the path a
         point leaves both by at most half of the distance between them.
         """
-        if not self.regions:
-            return True
         off = self.margin * np.linspace(0.0, 1.0, points.shape[1])
         moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=0, initial=0.0)
         return bool((self.regions.distances(points) >= off + 0.5 * moved).all())
@@ -89,37 +87,34 @@ class Room:
             )
 
 
-def pool(
-    robot: Robot,
-    goal: Goal,
-    input: str,
-    path: str,
-    model: Model,
-    room: Room,
-    start: Floats | None = None,
-) -> Floats:
+def pool(model: Model, goal: Goal, room: Room, measured: DataSet) -> Floats:
     """
     Return postures (b, m) [N] or [m] that may be chosen.
 
     Parameters
     ----------
-    robot : Robot
-    goal : Goal
-    input, path : str
-        As of a data set.
     model : Model
         What is known of the arm now: says where it is at a posture.
+    goal : Goal
     room : Room
-    start : (m,), optional
-        Where the arm comes from; default: it was let go.
+    measured : DataSet
+        What was measured already.
 
     """
+    robot, input = model.robot, measured.input
     count = POOL_POSTURES // 3 if input == 'displacement' else POOL_POSTURES
     rows = [default_postures(robot, max(count // 5, 3), 0, input)]
     rows.append(default_postures(robot, count - len(rows[0]), 1, input))
-    if path == 'sequence':  # letting go is what shows a memory
+    if measured.path == 'sequence':  # letting go is what shows a memory
         rows.append(default_postures(robot, count // 2, 2, input, 'sequence'))
-    return allowed(np.unique(np.vstack(rows), axis=0), goal, input, model, room, start)
+    every = np.unique(np.vstack(rows), axis=0)
+    return allowed(every, goal, input, model, room, coming_from(measured))
+
+
+def coming_from(measured: DataSet) -> Floats | None:
+    """Return the inputs (m,) from which the arm goes to the next posture; None: it was let go."""
+    in_turn = measured.path == 'sequence' and len(measured.postures)
+    return measured.inputs[-1] if in_turn else None
 
 
 def fresh(robot: Robot, goal: Goal, input: str, model: Model, room: Room) -> Floats:
@@ -208,10 +203,10 @@ def choose(
 
     """
     design = LinearDesign(question, measured, catalogue)
-    pool, offered = design.offered(pool)
+    pool, offered = design.offered(pool) if len(pool) else (pool, [])
     if not offered:
         return []
-    precision = np.eye(design.size)
+    precision = np.eye(offered[0].shape[1])
     for rows in design.rows(measured) if len(measured.postures) else ():
         precision += rows.T @ rows
     choices = list[tuple[Floats, float]]()
@@ -232,15 +227,12 @@ class LinearDesign:
         self.robot: Robot = measured.robot
         self.catalogue = catalogue.sized(natural_sizes(self.robot))
         self.frees = tuple(dict.fromkeys(frees_of(question.effects, self.catalogue, self.robot)))
-        self.size = 0
 
     def offered(self, pool: Floats) -> tuple[Floats, list[Floats]]:
         """Return the postures of a pool that have an equilibrium, and their whitened rows."""
         old = self.measured
-        in_turn = old.path == 'sequence' and len(old.postures)
-        after = old.inputs[-1] if in_turn else None
         trials = max(old.positions.shape[1], 1)
-        as_if, shown = as_if_measured(old, pool, after, trials)
+        as_if, shown = as_if_measured(old, pool, coming_from(old), trials)
         predictor = Predictor(as_if, self.robot, self.catalogue)
         if predictor.markers(self.question.point) is None:
             each = 1 if shown == slice(None) else 2  # with the one before it
@@ -266,7 +258,6 @@ class LinearDesign:
         ]
         if not self.robot.exact:
             slopes += self._as_built(SplitPredictor(predictor))
-        self.size = len(slopes)
         whitener = Whitener(dataset, self.question.noise, input_slopes(predictor, point))
         white = whitener.white(np.array(slopes))
         return [white[:, whitener.owners == p].T for p in range(len(markers))]

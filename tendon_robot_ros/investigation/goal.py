@@ -145,31 +145,28 @@ CLASS_ROUNDS = 3
 
 
 class InvestigationEnd(StrEnum):
-    """Why an investigation ended."""
+    """Why an investigation ended, and the sentence that says it."""
 
-    NAMED = 'named'
-    INSEPARABLE = 'inseparable'
-    ADEQUATE = 'model_adequate'
-    OUTSIDE = 'nothing_fits'
-    MISTAKE = 'mistake_of_the_set_up'
-    CHANGED = 'change_named'
-    BUDGET = 'budget_spent'
-    POOL = 'nothing_left_to_measure'
+    sentence: str
 
+    def __new__(cls, name: str, sentence: str) -> InvestigationEnd:
+        """Create a row of the table."""
+        self = str.__new__(cls, name)
+        self._value_, self.sentence = name, sentence
+        return self
 
-SENTENCES = {
-    InvestigationEnd.NAMED: 'one name is left, its interval is as narrow as asked',
-    InvestigationEnd.INSEPARABLE: 'no posture within the limits separates what is left',
-    InvestigationEnd.ADEQUATE: 'the model is adequate',
-    InvestigationEnd.OUTSIDE: 'nothing in the catalogue fits',
-    InvestigationEnd.MISTAKE: 'the set-up has a mistake: mend it, then begin again',
-    InvestigationEnd.CHANGED: (
+    NAMED = 'named', 'one name is left, its interval is as narrow as asked'
+    INSEPARABLE = 'inseparable', 'no posture within the limits separates what is left'
+    ADEQUATE = 'model_adequate', 'the model is adequate'
+    OUTSIDE = 'nothing_fits', 'nothing in the catalogue fits'
+    MISTAKE = 'mistake_of_the_set_up', 'the set-up has a mistake: mend it, then begin again'
+    CHANGED = (
+        'change_named',
         'no effect of the catalogue is needed: mend it, or call monitor/learn to take the arm '
-        'as it is now'
-    ),
-    InvestigationEnd.BUDGET: 'the budget is spent',
-    InvestigationEnd.POOL: 'no posture within the limits tells more',
-}
+        'as it is now',
+    )
+    BUDGET = 'budget_spent', 'the budget is spent'
+    POOL = 'nothing_left_to_measure', 'no posture within the limits tells more'
 
 
 def names_of(diagnosis: Diagnosis) -> list[str]:
@@ -210,7 +207,7 @@ def possible(
     diagnosis: Diagnosis, dataset: DataSet, catalogue: Catalogue, visible: float
 ) -> dict[str, float]:
     """
-    Return the effects that are not excluded although the model is adequate, the largest first.
+    Return the effects that are not excluded where the model is adequate, the largest first.
 
     An effect may act while an end of a 95 % interval of its parameters, the others at their best
     values, moves the tip by more than is asked, rms over the postures.
@@ -231,7 +228,7 @@ def possible(
     """
     predictor = Predictor(dataset, dataset.robot, catalogue)
     described = predictor.markers({})
-    if described is None:
+    if described is None or diagnosis.verdict is not Verdict.ADEQUATE:
         return {}
     motions: dict[str, float] = {}
     for row in diagnosis.candidates:

@@ -33,14 +33,13 @@ from ..model.model import Model
 from ..monitoring.change import ChangeFinder
 from ..report.diagnosis_page import diagnosis_page, pictures_of, with_effects
 from ..report.diagnosis_text import addition_warnings, lines, never_used
-from ..robot import Robot, dump_robot
+from ..robot import dump_robot
 from ..robot.estimates import MODEL_ERROR_MAX, natural_sizes
 from ..robot.keep_out import KeepOut
 from . import measuring
 from .choice import OpenQuestion, Room, choose, fresh, pool
 from .goal import (
     IN_QUESTION_MAX,
-    SENTENCES,
     Goal,
     InvestigationEnd,
     Round,
@@ -94,7 +93,7 @@ class Investigation:
         goal: Goal,
         folder: Path | None = None,
         regions: KeepOut | None = None,
-        report: measuring.Report = lambda news: None,
+        report: measuring.Report = lambda kind, text, content: None,
         resume: bool = False,
         change: ChangeFinder | None = None,
     ) -> None:
@@ -110,7 +109,7 @@ class Investigation:
         regions : KeepOut, optional
             Where no part of the arm may be.
         report : callable, optional
-            Called with every `News`.
+            Called with every event: see `Report`.
         resume : bool
         change : ChangeFinder, optional
             The change detector of a drift alarm: its suspects are separated first.
@@ -175,10 +174,7 @@ class Investigation:
             if self.arm.path == 'sequence':  # the next one depends on where this one was
                 count = 1
             offered, count = self.offered(), min(count, self.goal.postures - have)
-            choices = list[tuple[Floats, float]]()
-            if len(offered):
-                question, dataset = self.question(), self.record.dataset
-                choices = choose(question, dataset, offered, self.catalogue, count)
+            choices = choose(self.question(), self.record.dataset, offered, self.catalogue, count)
             gain = choices[0][1] if choices else 0.0
             least = NARROWING_MIN if have >= NARROWING_FROM else GAIN_MIN
             if twice(Verdict.ADEQUATE, self.record.rounds) and gain < least:
@@ -194,12 +190,7 @@ class Investigation:
 
     def offered(self) -> Floats:
         """Return the postures (b, m) [N] or [m] that may be chosen now."""
-        dataset, robot = self.record.dataset, self.guess
-        start = None
-        if self.arm.path == 'sequence' and len(dataset.postures):
-            start = dataset.inputs[-1]
-        model, room = Model(robot, self.catalogue), self.measurer.room
-        rows = pool(robot, self.goal, self.arm.input, self.arm.path, model, room, start)
+        rows = pool(self.guess, self.goal, self.measurer.room, self.record.dataset)
         return self.measurer.untried(rows)
 
     def question(self) -> OpenQuestion:
@@ -230,10 +221,11 @@ class Investigation:
         return names
 
     @property
-    def guess(self) -> Robot:
-        """The description with the effects of the last diagnosis."""
+    def guess(self) -> Model:
+        """The model with the effects of the last diagnosis."""
         robot, known = self.arm.robot, self.diagnosis
-        return robot if known is None else with_effects(known, robot, self.catalogue)
+        better = robot if known is None else with_effects(known, robot, self.catalogue)
+        return Model(better, self.catalogue)
 
     def shows(self, effect: Effect) -> bool:
         """Return whether an effect has any influence on this arm, if it is not at some place."""
@@ -259,19 +251,13 @@ class Investigation:
     def judge(self) -> InvestigationEnd | None:
         """Diagnose the measurements; return why the investigation ends, None if it goes on."""
         dataset = self.record.dataset
-
-        def attend(*progress: object) -> None:
-            self.arm.attend()
-
-        diagnosis = diagnose(dataset, None, self.catalogue, progress=attend)
+        diagnosis = diagnose(dataset, None, self.catalogue, progress=lambda *_: self.arm.attend())
         self.diagnosis = diagnosis
-        length, unexcluded = self.arm.robot.length, dict[str, float]()
+        length = self.arm.robot.length
         if diagnosis.verdict.judged and np.isfinite(diagnosis.error_after):
             # as far from the regions as the best model is off (3 sd), but no farther than before
             margin = min(3.0 * diagnosis.error_after, MODEL_ERROR_MAX * length)
             self.measurer.room = Room(self.measurer.room.regions, margin)
-        if diagnosis.verdict is Verdict.ADEQUATE:
-            unexcluded = possible(diagnosis, dataset, self.catalogue, self.goal.visible * length)
         now = Round(
             len(dataset.postures),
             str(diagnosis.verdict),
@@ -279,7 +265,7 @@ class Investigation:
             in_question(diagnosis),
             widest(diagnosis, self.catalogue),
             short(diagnosis),
-            unexcluded,
+            possible(diagnosis, dataset, self.catalogue, self.goal.visible * length),
         )
         # an earlier one of the same postures confirms nothing: none came, or it was resumed
         earlier = [one for one in self.record.rounds if one.postures < now.postures]
@@ -288,9 +274,7 @@ class Investigation:
         outcome = settled(diagnosis, self.record.rounds, self.goal)
         width = '' if now.widest is None else f', to {100.0 * now.widest:.0f} %'
         text = f'  {now.postures} postures: {now.text}{width}{may_act(now)}'
-        self.report(
-            measuring.News('diagnosis', text, {**vars(now), 'enough': outcome is not None})
-        )
+        self.report('diagnosis', text, {**vars(now), 'enough': outcome is not None})
         return outcome
 
     def report_end(self, outcome: InvestigationEnd) -> None:
@@ -300,38 +284,35 @@ class Investigation:
             named = [one['name'] for one in record.changed]
         postures = len(record.dataset.postures)
         record.outcome = {'why': str(outcome), 'names': named, 'postures': postures}
-        sentence = f'{postures} postures: {SENTENCES[outcome]}'
+        sentence = f'{postures} postures: {outcome.sentence}'
         if record.rounds:
             sentence += may_act(record.rounds[-1])
         if record.skipped:
             sentence += f'; {len(record.skipped)} could not be measured'
-        self.report(measuring.News('end', sentence, record.outcome))
+        self.report('end', sentence, record.outcome)
 
     def verified(self, outcome: InvestigationEnd) -> Findings:
         """Fit the named effects, and compute their error on fresh postures."""
         diagnosis, dataset = self.diagnosis, self.record.dataset
-        adds = diagnosis is not None and bool(diagnosis.effects) and diagnosis.verdict.may_add
         confirmed = outcome is InvestigationEnd.NAMED or self.goal.add
-        if diagnosis is None or not adds or not confirmed:
+        if diagnosis is None or not (confirmed and diagnosis.effects and diagnosis.adds):
             return Findings(outcome, diagnosis, dataset, self.record)
         check = self.measure_fresh() if self.goal.checks else None
         names = [effect.name for effect in diagnosis.effects]
         addition = add_effects(dataset, names, None, self.catalogue, check, diagnosis.effects)
+        before, after = addition.check.before, addition.check.after
         self.report(
-            measuring.News(
-                'added',
-                f'{listed(names)}: error on {"fresh" if check else "left-out"} postures '
-                f'{1e3 * addition.check.before:.2f} -> {1e3 * addition.check.after:.2f} mm',
-                {'before': addition.check.before, 'after': addition.check.after, 'names': names},
-            )
+            'added',
+            f'{listed(names)}: error on {"fresh" if check else "left-out"} postures '
+            f'{1e3 * before:.2f} -> {1e3 * after:.2f} mm',
+            {'before': before, 'after': after, 'names': names},
         )
         return Findings(outcome, diagnosis, dataset, self.record, addition, check)
 
     def measure_fresh(self) -> DataSet | None:
         """Measure random postures that no choice has selected."""
         self.arm.release()
-        model = Model(self.guess, self.catalogue)
-        rows = fresh(self.arm.robot, self.goal, self.arm.input, model, self.measurer.room)
+        rows = fresh(self.arm.robot, self.goal, self.arm.input, self.guess, self.measurer.room)
         check = measuring.empty_dataset(self.arm, measuring.CHECK, self.measurer.trials)
         for row in rows:
             if len(check.postures) == self.goal.checks:
@@ -339,9 +320,7 @@ class Investigation:
             measured = self.measurer.attempted(row)
             if measured is not None:
                 check = measuring.with_posture(check, row, measured, self.arm.position_noise)
-                self.report(
-                    measuring.News('check', f'  fresh posture {len(check.postures)} measured')
-                )
+                self.report('check', f'  fresh posture {len(check.postures)} measured', {})
         return check if len(check.postures) else None
 
 
@@ -375,10 +354,7 @@ def write_results(findings: Findings, folder: Path, catalogue: Catalogue, add: b
         diagnosis.save(folder / RESULT)
         written.append(RESULT)
         if importlib.util.find_spec('plotly') is not None:
-            data = findings.dataset
-            found = with_effects(diagnosis, data.robot, catalogue)
-            better = found if added is None else added.robot
-            pictures = pictures_of(diagnosis, data, catalogue, better)
+            pictures = pictures_of(diagnosis, findings.dataset, catalogue, added)
             diagnosis_page(diagnosis, pictures, added).write(folder / REPORT)
             written.append(REPORT)
     if added is not None:

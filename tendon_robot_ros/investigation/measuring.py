@@ -226,17 +226,9 @@ def _joined(old: Floats, new: Floats, trials: int) -> Floats:
     return joined
 
 
-@dataclass(frozen=True)
-class News:
-    """An event: a line to print, and plain data for a page."""
-
-    # 'posture', 'broken', 'skipped', 'change', 'changed', 'diagnosis', 'end', 'added', 'check'
-    kind: str
-    text: str
-    content: dict[str, Any] = field(default_factory=dict)
-
-
-Report = Callable[[News], None]
+# called with what has happened ('posture', 'broken', 'skipped', 'change', 'changed', 'diagnosis',
+# 'end', 'added', 'check'), a line to print, and plain data for a page
+Report = Callable[[str, str, dict[str, Any]], None]
 
 
 @dataclass
@@ -256,7 +248,7 @@ class Measurer:
         named = dict(zip(self.arm.robot.inputs, inputs.tolist(), strict=True))
         data = {'number': number, 'inputs': inputs.tolist(), 'most': self.goal.postures, **content}
         text = f'posture {number}: {commands(named, self.arm.input)}   {why}'
-        self.report(News('posture', text, data))
+        self.report('posture', text, data)
         measured = self.attempted(inputs)
         if measured is not None:
             self.record.take(inputs, measured, self.arm.position_noise)
@@ -281,9 +273,9 @@ class Measurer:
             except BrokenMeasurementError as error:
                 reason = str(error)
                 if not is_last:
-                    self.report(News('broken', f'  not measured: {reason}; once more'))
+                    self.report('broken', f'  not measured: {reason}; once more', {})
         self.record.skip(inputs, reason)
-        self.report(News('skipped', f'  skipped: {reason}'))
+        self.report('skipped', f'  skipped: {reason}', {})
         if len(self.record.skipped) >= self.goal.skipped + len(self.record.dataset.postures):
             raise TendonRobotError(
                 f'{len(self.record.skipped)} postures could not be measured, the last one: '
@@ -368,7 +360,7 @@ def separate_changes(
     if rest:
         have = len(measurer.record.dataset.postures)
         content = {'names': [suspect.name for suspect in rest], 'postures': have}
-        measurer.report(News('changed', f'  {have} postures: has changed: {sizes(rest)}', content))
+        measurer.report('changed', f'  {have} postures: has changed: {sizes(rest)}', content)
     return rest
 
 
@@ -389,4 +381,4 @@ def report_suspects(measurer: Measurer, suspects: Sequence[Suspect]) -> None:
     """Report the likeliest changes after the postures so far."""
     have = len(measurer.record.dataset.postures)
     content = {'suspects': [vars(suspect) for suspect in likely(suspects)], 'postures': have}
-    measurer.report(News('change', f'  looks like {described(suspects)}', content))
+    measurer.report('change', f'  looks like {described(suspects)}', content)

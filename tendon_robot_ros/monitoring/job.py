@@ -97,7 +97,7 @@ def work(folder: Path, effects: Sequence[str]) -> None:
         if report:  # once more, with pictures and the error after the addition
             from ..report.diagnosis_page import pictures_of
 
-            pictures = pictures_of(diagnosis, dataset, catalogue, addition.robot)
+            pictures = pictures_of(diagnosis, dataset, catalogue, addition)
             _report(diagnosis, folder / REPORT, addition, pictures)
     send('done')
 

@@ -15,7 +15,7 @@ from ..common.words import PROGRAM, capital, columns, digits, mm, postures, prob
 from ..comparison.result import Comparison, ModelErrors
 from ..data.dataset import at_rest
 from ..diagnosis.verdict import SAME_ERROR_RATIO
-from ..inference.statistics import Estimate, PairedT
+from ..inference.statistics import PairedT
 from ..model.shape import bending_azimuth, views_of
 from .error_plots import Step, angles, loops, per_marker, per_posture, staircase, tip_boxes
 from .page import (
@@ -48,9 +48,10 @@ def table(comparison: Comparison) -> str:
 def model_rows(comparison: Comparison, first: str) -> list[list[str]]:
     """Return the errors of all models and the noise floor, a row each; the head has `first`."""
     head = [first, 'rms', 'worst', f'tip error (mean ± {interval_name(comparison)})']
+    tips = [one.tip_error(comparison.error) for one in comparison.models]
     rows = [
-        [label(one), mm(one.rms), mm(one.max), interval(one.tip_error(comparison.error))]
-        for one in comparison.models
+        [label(one), mm(one.rms), mm(one.max), interval(tip.mean, tip.half)]
+        for one, tip in zip(comparison.models, tips, strict=True)
     ]
     if comparison.noise_floor is not None:
         rows.append(['noise floor (a perfect model)', mm(comparison.noise_floor), '', ''])
@@ -93,13 +94,13 @@ def kind(effects: tuple[str, ...]) -> str:
     return f'{base} + {more[0] if len(more) == 1 else f"{len(more)} effects"}'
 
 
-def interval(value: Estimate) -> str:
-    """Show a mean and its interval in mm."""
-    if not np.isfinite(value.half):
-        return mm(value.mean)
-    half = digits(1e3 * value.half, 2)
-    places = len(half.partition('.')[2])
-    return f'{1e3 * value.mean:.{places}f} ± {half} mm'
+def interval(value: float, half: float) -> str:
+    """Show a value [m] and half its interval, or 1 sd, in mm."""
+    if not np.isfinite(half):
+        return mm(value)
+    shown = digits(1e3 * half, 2)
+    places = len(shown.partition('.')[2])
+    return f'{1e3 * value:.{places}f} ± {shown} mm'
 
 
 def where_worst(comparison: Comparison) -> str:
@@ -204,9 +205,8 @@ def add_verdict(page: Page, comparison: Comparison) -> None:
     """Add the verdict, the table of models and the tests between them."""
     lines = [verdict(comparison), capital(where_worst(comparison)), next_step(comparison)]
     page.box(filter(None, lines), 'verdict good' if is_good(comparison) else 'verdict')
-    header, *rows = model_rows(comparison, 'model')
     kinds = ['strong' if model is comparison.best else '' for model in comparison.models]
-    page.table(header, rows, [*kinds, 'faint'])
+    page.table(model_rows(comparison, 'model'), [*kinds, 'faint'])
     tests = [test for test in comparison.paired_t if test.posture is None]
     page.text(*(f'{capital(paired(test))}.' for test in tests))
     page.text(
@@ -239,21 +239,26 @@ def add_loops(page: Page, comparison: Comparison) -> None:
 
 
 def add_shapes(
-    page: Page,
-    comparison: Comparison,
-    faults: Sequence[Fault] = (),
-    pushes: Pushes | None = None,
+    page: Page, comparison: Comparison, faults: Sequence[Fault] = (), pushes: Pushes | None = None
 ) -> None:
-    """Add the measured and predicted shapes; what a diagnosis found is marked."""
+    """
+    Add the measured and predicted shapes.
+
+    `faults` of the details of a diagnosis are marked where the model is wrong.
+    """
     page.heading('Shapes')
-    drawn, measured = len(chosen_postures(comparison)), int((comparison.measured.trials > 0).sum())
-    if drawn < measured:
+    chosen, measured = chosen_postures(comparison), int((comparison.measured.trials > 0).sum())
+    if len(chosen) < measured:
         page.text(
-            f'The {drawn} postures of {measured} that {comparison.best.name} predicts worst.'
+            f'The {len(chosen)} postures of {measured} that {comparison.best.name} predicts worst.'
         )
     page.key(shape_key(comparison, faults, pushes))
-    for figures, across in shape_figures(comparison, faults, pushes):
-        page.figures(figures, across)
+    drawn = [DrawnPosture(comparison, p, faults, pushes or {}) for p in chosen]
+    if is_planar(comparison):
+        page.figures([flat_figure(one) for one in drawn], 'many')
+    else:
+        page.figures([scene_figure(comparison, drawn)])
+        page.figures([side_figure(one) for one in drawn], 'two')
 
 
 def add_angles(page: Page, comparison: Comparison) -> None:
@@ -274,22 +279,6 @@ def add_angles(page: Page, comparison: Comparison) -> None:
         'much less precise than these; the first one counts from the base, half a cell.'
     )
     page.figures([angles(comparison, p) for p in worst], 'two')
-
-
-def shape_figures(
-    comparison: Comparison, faults: Sequence[Fault] = (), pushes: Pushes | None = None
-) -> list[tuple[list[Figure], str]]:
-    """
-    Return rows of figures of the shapes, and how many of each stand beside each other.
-
-    `faults` of the details of a diagnosis are marked where the model is wrong.
-    """
-    chosen = chosen_postures(comparison)
-    drawn = [DrawnPosture(comparison, p, faults, pushes or {}) for p in chosen]
-    if is_planar(comparison):
-        return [([flat_figure(one) for one in drawn], 'many')]
-    sides = [side_figure(one) for one in drawn]
-    return [([scene_figure(comparison, drawn)], ''), (sides, 'two')]
 
 
 def shape_key(
@@ -330,12 +319,11 @@ class Push:
 
     def traces(self, length: float, azimuth: float) -> list[Trace]:
         """Return an arrow, and the string or the wall, for an arm of a length [m] as seen."""
-        size = float(np.linalg.norm(self.force))
-        along = self.force / size
+        along = self.force / np.linalg.norm(self.force)
         across = np.cross(along, [-np.sin(azimuth), np.cos(azimuth), 0.0])
         across /= max(float(np.linalg.norm(across)), 1e-9)
-        end = self.at + ARROW_FRACTION * length * self.force
         tip = ARROW_FRACTION * length
+        end = self.at + tip * self.force
         left, right = (end + 0.1 * tip * (side - 2.0 * along) for side in (across, -across))
         arrow = np.array([self.at, end, left, end, right])
         drawn = [placed(arrow, 'lines', 'force', line={'color': BAD, 'width': 3, 'dash': 'solid'})]

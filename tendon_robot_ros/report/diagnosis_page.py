@@ -51,7 +51,7 @@ def pictures_of(
     diagnosis: Diagnosis,
     dataset: DataSet,
     catalogue: Catalogue | None = None,
-    changed: Robot | None = None,
+    addition: Addition | None = None,
 ) -> Pictures | None:
     """
     Compute the pictures of a diagnosis.
@@ -62,8 +62,8 @@ def pictures_of(
     dataset : DataSet
         With the description that was judged.
     catalogue : Catalogue, optional
-    changed : Robot, optional
-        The description with what was added; default: with the values that were found.
+    addition : Addition, optional
+        What was added; default: the values that were found are.
 
     Returns
     -------
@@ -74,10 +74,10 @@ def pictures_of(
     robot = dataset.robot
     models = [(BEFORE, robot)]
     if diagnosis.effects:
-        after = changed or with_effects(diagnosis, robot, catalogue)
+        after = addition.robot if addition else with_effects(diagnosis, robot, catalogue)
         name = f'with {" and ".join(effect.name for effect in diagnosis.effects)}'
         if diagnosis_text.with_arm(diagnosis):
-            name += ' alone' if changed is None else ' and the arm as found'
+            name += ' and the arm as found' if addition else ' alone'
         models.append((name, after))
     unsettled = set(diagnosis.details.get('unsettled') or ())
     if unsettled:
@@ -206,7 +206,7 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
         kinds = [{'best': 'strong', 'rejected': 'faint'}.get(one.status, '') for one in candidates]
         with_arm = diagnosis_text.with_arm(diagnosis)
         with_what = 'the effect and the arm as it was found' if with_arm else 'the effect'
-        page.table(CANDIDATE_HEAD, [*map(candidate_row, candidates)], kinds, left=(5, 6))
+        page.table([CANDIDATE_HEAD, *map(candidate_row, candidates)], kinds, left=(5, 6))
         page.text(
             '“Explains” is the share of the error above the noise floor that goes away; “error '
             f'left” is that of the description with {with_what}; “left-out postures” is the error '
@@ -236,21 +236,17 @@ def candidate_row(row: CandidateRow) -> list[str]:
 def pushes_of(diagnosis: Diagnosis) -> dict[str, Push]:
     """Return what pushes the arm in each posture, of the first effect that is a force."""
     for effect in diagnosis.effects:
-        rows = diagnosis.details.get('pushes', {}).get(effect.name, ())
-        largest = max((float(np.linalg.norm(row['force'])) for row in rows), default=0.0)
+        rows = diagnosis.details.get('pushes', {}).get(effect.name)
+        if not rows:
+            continue
+        largest = max(float(np.linalg.norm(row['force'])) for row in rows)
         fixed = [effect.parameters.get(f'point_{axis}') for axis in 'xyz']
         to = None if None in fixed else np.array([one.value for one in fixed if one])
-        pushes = {
-            row['posture']: Push(
-                np.array(row['at']),
-                np.array(row['force']) / largest,
-                to,
-                'arc_length' not in effect.parameters,
-            )
+        wall = 'arc_length' not in effect.parameters
+        return {
+            row['posture']: Push(np.array(row['at']), np.array(row['force']) / largest, to, wall)
             for row in rows
         }
-        if pushes:
-            return pushes
     return {}
 
 

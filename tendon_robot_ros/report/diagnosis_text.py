@@ -7,17 +7,16 @@ Every sentence comes from fields of the result.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from string import Formatter
 
 import numpy as np
 
 from ..common.words import columns, commands, counted, digits, listed, mm, percent, postures
 from ..diagnosis.add import Addition
-from ..diagnosis.result import Diagnosis, NextMeasurement
+from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding, NextMeasurement
 from ..diagnosis.verdict import P_SINGLE_MIN, SAME_ERROR_RATIO, SEPARABLE_FROM_SD, Verdict
 from ..inference.crossval import explained_fraction
-from ..inference.intervals import LoadVector, Value
 from ..robot.estimates import stiffnesses
 from .sentences import (
     amount,
@@ -115,27 +114,25 @@ def verdict(diagnosis: Diagnosis) -> str:
     return sentence.format(**{name: _fields[name](diagnosis) for name in names})
 
 
-def heading(diagnosis: Diagnosis, usual: str) -> str:
-    """Return the first words of a verdict: the usual ones, or what has changed since when."""
-    taken = diagnosis.details.get('reference')
-    return f'Changed since {taken["data"]}' if taken else usual
+def detail(key: str, known: str, usual: str) -> Callable[[Diagnosis], str]:
+    """Return what says a detail of a diagnosis in a sentence, the usual words where it is not."""
+    return lambda diagnosis: (
+        usual if diagnosis.details.get(key) is None else known.format(diagnosis.details[key])
+    )
 
 
 def findings(diagnosis: Diagnosis) -> str:
     """Say what was found: 'a load of 29.9 ± 0.3 mN at the tip, along gravity (`tip_load`)'."""
-    return '; and '.join(
-        in_words(diagnosis, e.name, e.parameters, e.load) for e in diagnosis.effects
-    )
+    return '; and '.join(in_words(diagnosis, effect) for effect in diagnosis.effects)
 
 
-def in_words(
-    diagnosis: Diagnosis, name: str, values: Mapping[str, Value], load: LoadVector | None
-) -> str:
+def in_words(diagnosis: Diagnosis, found: EffectFinding | CandidateRow) -> str:
     """Say an effect with its values, in the words of its own file."""
-    words = diagnosis.details.get('effects_in_words', {}).get(name, {})
-    title, finding = words.get('title', name.replace('_', ' ')), words.get('finding', '')
-    pushes = diagnosis.details.get('pushes', {}).get(name, ())
-    return f'{finding_words(title, finding, values, load, pushes)} (`{name}`)'
+    words = diagnosis.details.get('effects_in_words', {}).get(found.name, {})
+    title, finding = words.get('title', found.name.replace('_', ' ')), words.get('finding', '')
+    pushes = diagnosis.details.get('pushes', {}).get(found.name, ())
+    said = finding_words(title, finding, found.parameters, found.load, pushes)
+    return f'{said} (`{found.name}`)'
 
 
 def as_written(diagnosis: Diagnosis) -> str:
@@ -151,14 +148,10 @@ def as_written(diagnosis: Diagnosis) -> str:
 
 def class_lines(diagnosis: Diagnosis) -> str:
     """Return a line for each effect that explains the measurements as well, the best first."""
-    rows = {row.name: row for row in diagnosis.candidates}
-    best = {e.name: (e.parameters, e.load) for e in diagnosis.effects}
-    lines = []
-    for name in diagnosis.cannot_tell_apart:
-        row = rows.get(name)
-        values, load = best.get(name, ({}, None) if row is None else (row.parameters, row.load))
-        lines.append(f'- {in_words(diagnosis, name, values, load)}')
-    return '\n'.join(lines)
+    found: list[CandidateRow | EffectFinding] = [*diagnosis.candidates, *diagnosis.effects]
+    known = {one.name: one for one in found}
+    alike = [known.get(name, EffectFinding(name, {}, 0.0)) for name in diagnosis.cannot_tell_apart]
+    return '\n'.join(f'- {in_words(diagnosis, one)}' for one in alike)
 
 
 def explained_part(diagnosis: Diagnosis) -> str:
@@ -223,16 +216,15 @@ def instead(diagnosis: Diagnosis) -> str:
 
 def what_remains(diagnosis: Diagnosis) -> str:
     """Say how far the best effects lower the error, and what remains or fits better."""
-    floor = diagnosis.noise_floor
+    before, after = diagnosis.error_before, diagnosis.error_after
+    floors = (after if diagnosis.effects else before) / diagnosis.noise_floor
+    size, little = f'{digits(floors)} times the noise', floors < SAME_ERROR_RATIO
     if not diagnosis.effects:
-        size = f'{digits(diagnosis.error_before / floor)} times the noise'
-        if diagnosis.error_before < SAME_ERROR_RATIO * floor:
-            size = f'not random, though it is only {size}'
-        return f'No known effect helps; the error is {size}'
+        random = 'not random, though it is only ' if little else ''
+        return f'No known effect helps; the error is {random}{size}'
     best = next((row for row in diagnosis.candidates if row.status == 'best'), None)
-    after = diagnosis.error_after
     lowers = 'It lowers' if len(diagnosis.effects) == 1 else 'They lower'
-    lowers += f' the error from {mm(diagnosis.error_before)} to {mm(after)}'
+    lowers += f' the error from {mm(before)} to {mm(after)}'
     text = f'Nearest: {findings(diagnosis)}. {lowers}, but '
     rival = diagnosis.details.get('rival')
     if rival and best is not None and best.probability > P_SINGLE_MIN:
@@ -242,8 +234,7 @@ def what_remains(diagnosis: Diagnosis) -> str:
     if best is not None:
         p = best.probability
         significance = ' (p < 1e-6)' if p < 1e-6 else f' (p = {digits(p, 1)})'
-    size = f'{digits(after / floor)} times the noise'
-    if after < SAME_ERROR_RATIO * floor:
+    if little:
         return f'{text}what remains is not random{significance}, though it is only {size}'
     return f'{text}what remains is {size}{significance}'
 
@@ -253,9 +244,7 @@ def what_remains(diagnosis: Diagnosis) -> str:
 _fields: dict[str, Callable[[Diagnosis], str]] = {
     'alike': class_lines,
     'as_written': as_written,
-    'obstacle': lambda diagnosis: (
-        'Mistake of the set-up' if 'mistake' in diagnosis.details else 'Cannot be judged'
-    ),
+    'obstacle': detail('mistake', 'Mistake of the set-up', 'Cannot be judged'),
     'findings': findings,
     'instead': instead,
     'judged_by': lambda diagnosis: (
@@ -263,20 +252,12 @@ _fields: dict[str, Callable[[Diagnosis], str]] = {
         if (accuracy := diagnosis.details.get('accuracy'))
         else 'these measurements could show'
     ),
-    'missing': lambda diagnosis: heading(diagnosis, 'Missing'),
-    'nothing': lambda diagnosis: (
-        f'Nothing has changed since {taken["data"]}'
-        if (taken := diagnosis.details.get('reference'))
-        else 'Nothing is missing'
-    ),
-    'off': lambda diagnosis: heading(diagnosis, 'A value is off'),
+    'missing': detail('reference', 'Changed since {0[data]}', 'Missing'),
+    'nothing': detail('reference', 'Nothing has changed since {0[data]}', 'Nothing is missing'),
+    'off': detail('reference', 'Changed since {0[data]}', 'A value is off'),
     'remainder': lambda diagnosis: diagnosis.remainder,
     'share': explained_part,
-    'these_postures': lambda diagnosis: (
-        f'these {count} postures'
-        if (count := diagnosis.details.get('postures'))
-        else 'these postures'
-    ),
+    'these_postures': detail('postures', 'these {} postures', 'these postures'),
     'what_remains': what_remains,
     'why_off': why_off,
 }
@@ -454,32 +435,28 @@ def also_written(addition: Addition) -> list[str]:
     robot, before = addition.robot, addition.described
     if before is None:
         return []
-    changes = []
-    stiffness = _changes(*(stiffnesses(one).tolist() for one in (before, robot)))
-    if stiffness:
-        changes.append(f'stiffness of {_count(stiffness, "cell")}')
-    offsets = _changes(*([np.hypot(*t.base) for t in one.tendons] for one in (before, robot)))
-    if offsets:
-        changes.append(f'offset of {_count(offsets, "tendon")}')
-    changes += [
-        name
-        for name, values in robot.effects.items()
-        if name not in addition.values and values != before.effects.get(name)
+    places = ([np.hypot(*tendon.base) for tendon in one.tendons] for one in (before, robot))
+    return [
+        *_changed('stiffness', 'cell', stiffnesses(before), stiffnesses(robot)),
+        *_changed('offset', 'tendon', *places),
+        *(
+            name
+            for name, values in robot.effects.items()
+            if name not in addition.values and values != before.effects.get(name)
+        ),
+        *(['gravity'] if robot.gravity != before.gravity else []),
     ]
-    return [*changes, 'gravity'] if robot.gravity != before.gravity else changes
 
 
-def _changes(before: Sequence[float], after: Sequence[float]) -> list[float]:
-    """Return the relative changes of those values that changed."""
+def _changed(what: str, part: str, before: Iterable[float], after: Iterable[float]) -> list[str]:
+    """Say of how many parts something changed, and between which changes; nothing of none."""
     pairs = zip(before, after, strict=True)
-    return [float(new / old - 1.0) for old, new in pairs if new != old and old]
-
-
-def _count(changes: Sequence[float], what: str) -> str:
-    """Say how many changed, and between which changes."""
-    low, high = (f'{100.0 * change:+.2g}' for change in (min(changes), max(changes)))
+    changes = [100.0 * float(new / old - 1.0) for old, new in pairs if new != old and old]
+    if not changes:
+        return []
+    low, high = (f'{change:+.2g}' for change in (min(changes), max(changes)))
     size = f'{low} %' if low == high else f'{low} to {high} %'
-    return f'{counted(len(changes), what)} ({size})'
+    return [f'{what} of {counted(len(changes), part)} ({size})']
 
 
 def model_error_note(error: float) -> str:

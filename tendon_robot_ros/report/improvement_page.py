@@ -15,7 +15,7 @@ from ..comparison.compare import compare
 from ..data import DataSet
 from ..diagnosis.result import COLOURS, Improvement, total
 from ..effects import Catalogue
-from .comparison import add_shapes
+from .comparison import add_shapes, interval
 from .diagnosis_text import model_error_note
 from .error_plots import per_marker, per_posture
 from .page import HEIGHTS_PX, LOG_AXIS, Figure, Page, Shown, axes, mm_list, titled, trace
@@ -45,13 +45,9 @@ def step_table(improvement: Improvement) -> list[list[str]]:
     where = where if len(improvement.markers) > 1 else ''
     rows = [['', *(f'{kind}{where} [mm]' for kind in kinds), 'took off, left out']]
     for k, step in enumerate(improvement.steps):
-        label, fall = step.label, ''
+        label, fall = step.label, interval(step.fall, step.scatter) if k else ''
         if k > improvement.taken:
             label = f'not taken: {label.removeprefix("+ ")}'
-        if k:
-            scatter = digits(1e3 * step.scatter)
-            places = len(scatter.partition('.')[2])
-            fall = f'{1e3 * step.fall:.{places}f} ± {scatter} mm'
         rows.append([label, *(numbers(step.errors[kind]) for kind in kinds), fall])
     return rows
 
@@ -124,9 +120,8 @@ def improvement_page(improvement: Improvement, dataset: DataSet, catalogue: Cata
     page = Page(f'Improving {improvement.robot.name}', f'measurements: {improvement.data}')
     page.box(sentences(improvement), 'verdict good' if improvement.taken else 'verdict')
     page.figures([curve(improvement)])
-    header, *rows = step_table(improvement)
-    kinds = ['strong' if k == improvement.taken else '' for k in range(improvement.taken + 1)]
-    page.table(header, rows, kinds + ['faint'] * (len(rows) - len(kinds)), left=[0])
+    kinds = [*[''] * improvement.taken, 'strong', *['faint'] * len(improvement.steps)]
+    page.table(step_table(improvement), kinds, left=[0])
     page.heading('Values')
     page.text(*(f'`{name}`: {text}' for name, text in _values(improvement)))
     page.text(*map(capital, [*profile(improvement), *as_built(improvement.as_built)]))

@@ -25,11 +25,16 @@ from .page import Shown
 Rows = list[list[str]]
 
 
-@singledispatch
 def text(result: TextResult) -> str:
-    """Return a result in words; of what has no words of its own its `repr`, and its table."""
-    summary = repr(result).strip('<>')
-    return '\n'.join([summary, columns(rows(result))]) if rows(result) else summary
+    """Return a result in words."""
+    return '\n'.join(lines(result))
+
+
+@singledispatch
+def lines(result: TextResult) -> list[str]:
+    """Return the lines of a result; without words of its own its `repr`, and its table."""
+    table = rows(result)
+    return [repr(result).strip('<>'), *([columns(table)] if table else [])]
 
 
 @singledispatch
@@ -55,14 +60,10 @@ def _row(tag: str, cells: list[str]) -> str:
     return f'<tr>{"".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells)}</tr>'
 
 
-@text.register
-def _(result: Comparison) -> str:
-    return '\n'.join([comparison.table(result), *comparison.sentences(result)])
-
-
-@text.register
-def _(result: Diagnosis) -> str:
-    return '\n'.join([*diagnosis_text.lines(result), *trust_lines(result)])
+lines.register(Comparison, lambda one: [comparison.table(one), *comparison.sentences(one)])
+lines.register(Diagnosis, lambda one: [*diagnosis_text.lines(one), *trust_lines(one)])
+lines.register(Addition, diagnosis_text.addition_lines)
+lines.register(Improvement, improvement_lines)
 
 
 @rows.register
@@ -70,16 +71,6 @@ def _(result: Diagnosis) -> Rows:
     if not result.candidates:
         return []
     return [CANDIDATE_HEAD, *map(candidate_row, result.candidates)]
-
-
-@text.register
-def _(result: Addition) -> str:
-    return '\n'.join(diagnosis_text.addition_lines(result))
-
-
-@text.register
-def _(result: Improvement) -> str:
-    return '\n'.join(improvement_lines(result))
 
 
 @rows.register
@@ -124,6 +115,4 @@ def _(result: Shape) -> Rows:
     return table
 
 
-@rows.register
-def _(result: Reach) -> Rows:
-    return rows(result.shape)
+rows.register(Reach, lambda result: rows(result.shape))

@@ -207,23 +207,20 @@ class Page:
         self.parts.append(f'<div class="box {escape(kind)}">{head}{body}</div>')
 
     def table(
-        self,
-        header: Sequence[str],
-        rows: Sequence[Sequence[str]],
-        kinds: Sequence[str] = (),
-        left: Sequence[int] = (),
+        self, rows: Sequence[Sequence[str]], kinds: Sequence[str] = (), left: Sequence[int] = ()
     ) -> None:
-        """Add a table; rows may be 'strong' or 'faint', columns in `left` hold words."""
-        sides = ['left' if i in left else '' for i in range(len(header))]
+        """Add a table, head first; other rows may be 'strong' or 'faint', columns `left` words."""
+        head, *below = rows
+        sides = ['left' if i in left else '' for i in range(len(head))]
         # wide tables are scrolled by keyboard; roles stay where page.css folds rows to blocks
-        label = escape(f'table of {header[0]}' if header[0] else 'table')
+        label = escape(f'table of {head[0]}' if head[0] else 'table')
         region = f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">'
         body = [
-            _row('td', row, sides, kind or '', header)
-            for row, kind in zip_longest(rows, kinds[: len(rows)])
+            _row('td', row, sides, kind or '', head)
+            for row, kind in zip_longest(below, kinds[: len(below)])
         ]
-        head = _row('th', header, sides, 'head')
-        self.parts += [f'{region}<table role="table">', head, *body, '</table></div>']
+        names = _row('th', head, sides, 'head')
+        self.parts += [f'{region}<table role="table">', names, *body, '</table></div>']
 
     def figures(self, figures: Sequence[Figure], across: str = '') -> None:
         """Add figures; `across`: 'two' or 'many' beside each other where there is room."""
@@ -262,8 +259,7 @@ class Page:
 
     def write(self, path: str | Path) -> Path:
         """Write the page; a file that was there is replaced at the end."""
-        html = self.html()
-        write_text(path, html)
+        write_text(path, self.html())
         return Path(path)
 
 

@@ -34,9 +34,6 @@ from .page import (
 )
 
 HEIGHT_NAMES = ('highest tip', 'median tip', 'lowest tip')
-FAMILY_COLUMNS = (
-    *('view', 'pair', 'towards', 'postures', 'tips across', 'tips along z', 'largest tension'),
-)
 # [1] of the cubes that the last tenth of the postures added (about one for every cube): where more
 # than one in 50 was new, the cloud still grows, so that more postures would change its size
 LATE_MAX = 0.02
@@ -49,7 +46,8 @@ SCALE = 'Cividis'  # read alike by all eyes, and in grey
 
 def rows(workspace: Workspace) -> list[list[str]]:
     """Return the table of the families: how many postures, where the tips are, which tension."""
-    table = []
+    names = 'view', 'pair', 'towards', 'postures', 'tips across', 'tips along z', 'largest tension'
+    table = [[*names]]
     for family in workspace.families:
         tension = float(family.tensions.max())
         full = ' (the limit)' if np.isclose(tension, workspace.limit) else ''
@@ -101,31 +99,26 @@ def postures(family: Family) -> Figure:
         points = np.concatenate([np.zeros((1, 3)), family.positions[row]])
         marker: Trace = {'color': style.colour, 'symbol': style.symbol, 'size': 5 if planar else 3}
         line = {'color': style.colour, 'dash': style.dash, 'width': 2 if planar else 5}
-        drawn = in_space(points, 'lines+markers', HEIGHT_NAMES[i], line=line, marker=marker)
-        data.append(drawn)
+        data.append(in_space(points, 'lines+markers', HEIGHT_NAMES[i], line=line, marker=marker))
     kept = family.tips[evenly(len(family.tips), Shown.DRAWN_POINTS)]
     marker = {'color': FLOOR, 'size': 5 if planar else 2, 'opacity': 0.6}
     data.append(in_space(kept, 'markers', 'all tips', marker=marker))
     across, along = spans(family)
     caption = f'{len(family)} postures; tips within {across} across and {along} along z.'
-    if not planar:
-        caption += ' Drag to turn.'
-        return Figure(data, scene(), title, caption, height=HEIGHTS_PX['tall'])
-    layout = axes('x [mm]', titled('z [mm]', scaleanchor='x'))
-    flat = [*map(from_the_side, data)]
-    return Figure(flat, layout, title, caption, height=HEIGHTS_PX['tall'])
+    layout = axes('x [mm]', titled('z [mm]', scaleanchor='x')) if planar else scene()
+    drawn = [*map(from_the_side, data)] if planar else data
+    shown = caption if planar else f'{caption} Drag to turn.'
+    return Figure(drawn, layout, title, shown, height=HEIGHTS_PX['tall'])
 
 
 def displacement(family: Family) -> Figure:
     """Angular displacement per cell of the three postures."""
     cells = list(range(1, family.bend.shape[1] + 1))
-    data: list[Trace] = []
-    for i, b in enumerate(family.salient):
+    data, pulled = list[Trace](), []
+    for i, (name, b) in enumerate(zip(HEIGHT_NAMES, family.salient, strict=True)):
         bend = family.bend[b]
         angle = bend[:, 0] if family.is_flat else np.linalg.norm(bend, axis=1)
-        data.append(curve(cells, degrees_list(angle), HEIGHT_NAMES[i], line_style(i), size=6))
-    pulled = []
-    for name, b in zip(HEIGHT_NAMES, family.salient, strict=True):
+        data.append(curve(cells, degrees_list(angle), name, line_style(i), size=6))
         values = family.tensions[b, list(family.pair.indices)].tolist()
         pulled.append(f'{name}: {commands(dict(zip(family.pair.inputs, values, strict=True)))}')
     title, caption = 'Angular displacement per cell', '; '.join(pulled)
@@ -144,7 +137,7 @@ def workspace_page(workspace: Workspace) -> Page:
     if lacking:
         page.box(lacking, 'warn')
     if workspace.families:
-        page.table(FAMILY_COLUMNS, rows(workspace), left=(1, 2))
+        page.table(rows(workspace), left=(1, 2))
     for view in workspace.views:
         families = workspace.of(view)
         if not families:

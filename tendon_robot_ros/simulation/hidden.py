@@ -15,7 +15,7 @@ from inspect import signature
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.errors import EffectError, InputError, refusal, suggestion
+from ..common.errors import EffectError, number, refusal, suggestion
 from ..effects import Catalogue, Effect, Parameter
 from ..robot import Robot
 from ..robot.description import EffectValues
@@ -57,8 +57,8 @@ class Damage:
 def soft_cell(damage: Damage, cell: float | None = None, factor: float = 0.6) -> None:
     """One cell is softer: its stiffness times `factor`."""
     own = damage.robot.cells - damage.robot.plate_cells
-    number = (2 * own + 2) // 3 if cell is None else cell
-    damage.stiffness[damage.cell(number)] *= factor
+    softened = (2 * own + 2) // 3 if cell is None else cell
+    damage.stiffness[damage.cell(softened)] *= factor
 
 
 def stiffness_gradient(damage: Damage, relative_change: float = 0.4) -> None:
@@ -158,16 +158,16 @@ def checked(
     """Return a number, or one per section or tendon; EffectError where it is out of bounds."""
     many = isinstance(value, Sequence) and not isinstance(value, str)
     entries = value if isinstance(value, Sequence) and many else [value]
-    numbers = tuple(_one(effect, parameter.name, number) for number in entries)
+    numbers = tuple(_one(effect, parameter.name, entry) for entry in entries)
     count = {'section': len(robot.sections), 'tendon': len(robot.tendons)}.get(parameter.per)
     if many and len(numbers) != count:
         expected = f'{count} numbers, one per {parameter.per}' if count else 'one number'
         raise EffectError(f'{effect}: {parameter.name}: expected {expected}, got {len(numbers)}')
-    for number in numbers:
-        if not parameter.low <= number <= parameter.high:
+    for one in numbers:
+        if not parameter.low <= one <= parameter.high:
             raise EffectError(
                 f'{effect}: {parameter.name}: expected a number from {parameter.low:g} to '
-                f'{parameter.high:g} [{parameter.unit}], got {number:g}'
+                f'{parameter.high:g} [{parameter.unit}], got {one:g}'
             )
     return numbers if many else numbers[0]
 
@@ -237,9 +237,7 @@ class Workmanship:
 
         """
         for one in fields(self):
-            value, expected = getattr(self, one.name), f'a number from 0 to {SCATTER_MAX:g}'
-            if not 0.0 <= value <= SCATTER_MAX:
-                raise InputError(f'workmanship: {one.name}: expected {expected}, got {value}')
+            number(f'workmanship: {one.name}', getattr(self, one.name), 0.0, SCATTER_MAX, 'SI')
 
     def times(self, factor: float) -> Workmanship:
         """Return better (below 1) or worse work."""

@@ -55,15 +55,6 @@ class SimulatedNoise:
         return np.maximum((1.0 + self.setting * setting) * (1.0 + self.trial * trial), 0.0)
 
 
-@dataclass(frozen=True)
-class TrackerFaults:
-    """What a tracker does to readings besides noise, as in a laboratory."""
-
-    lost: float = 0.03  # [1] of the readings, because markers hide one another
-    wild: float = 0.005  # [1] of the readings: about one in a data set, so that all are tried
-    wild_sd: float = 5e-3  # [m] a cell or so, as where one marker is taken for the next
-
-
 def simulate(
     plant: Plant | RobotLike,
     inputs: Any,
@@ -127,6 +118,17 @@ def simulate(
         named = names('simulate: markers', (), len(markers) if hasattr(markers, '__len__') else 0)
         chosen = markers_of(markers, named, 'simulate')
     labels, pulls = names('postures', postures, len(rows)), kind == 'displacement'
+    points = np.array([marker.arc_length for marker in chosen])
+    offsets = np.array([marker.offset for marker in chosen])
+
+    def observed(inputs: Floats, sequence: bool) -> Floats:
+        """Return markers (Q, P, J, 3) [m] under inputs (Q, P, m), without noise of the tracker."""
+        seen = []
+        for index, batch in enumerate(inputs):
+            show('trials', index, len(inputs))
+            seen.append(plant.markers(batch, points, offsets, sequence, pulls))
+        return np.array(seen)
+
     split = None
     if path == 'visits':  # every posture as many times as there are trials, in a random order
         order = random.permutation(np.repeat(np.arange(len(labels)), trials))
@@ -135,14 +137,12 @@ def simulate(
         command, trial = split.command[split.posture], split.visits.trials
         setting = random.normal(size=(len(split.postures), rows.shape[1]))[split.posture]
         used = rows[command] * noise.factors(setting, random.normal(size=rows[command].shape))
-        observed = observed_markers(plant, used[None], chosen, True, pulls, show)[0]
-        positions = np.empty((int(command.max()) + 1, int(trial.max()) + 1, *observed.shape[1:]))
-        positions[command, trial] = observed
+        positions = np.empty((int(command.max()) + 1, int(trial.max()) + 1, len(chosen), 3))
+        positions[command, trial] = observed(used[None], True)[0]
     else:
         setting, trial = random.normal(size=rows.shape), random.normal(size=(trials, *rows.shape))
         used = rows * noise.factors(setting, trial)  # (Q, P, m)
-        positions = observed_markers(plant, used, chosen, path == 'sequence', pulls, show)
-        positions = positions.swapaxes(0, 1)
+        positions = observed(used, path == 'sequence').swapaxes(0, 1)
     positions = positions + random.normal(0.0, noise.position, positions.shape)
     dataset = DataSet(
         name=f'simulated {robot.name}',
@@ -159,24 +159,6 @@ def simulate(
         trial_noise=noise.trial if declare else 0.0,
     )
     return dataset if split is None else dataset.by_origin(split, split.visits.trials)
-
-
-def observed_markers(
-    plant: Plant,
-    inputs: Floats,
-    markers: Sequence[Marker],
-    sequence: bool,
-    displacement: bool,
-    show: Progress,
-) -> Floats:
-    """Return markers (Q, P, J, 3) [m] under inputs (Q, P, m), without noise of the tracker."""
-    points = np.array([marker.arc_length for marker in markers])
-    offsets = np.array([marker.offset for marker in markers])
-    observed = []
-    for index, rows in enumerate(inputs):
-        show('trials', index, len(inputs))
-        observed.append(plant.markers(rows, points, offsets, sequence, displacement))
-    return np.array(observed)
 
 
 @dataclass(frozen=True)

@@ -120,19 +120,16 @@ def cell_sections(robot: Robot, parts: int, stiffness: Floats) -> tuple[Section,
     sections, factors = [], iter(stiffness)
     for section in robot.sections:
         for i in range(section.cells):
-            one = section.bending_stiffness[i] * parts * float(next(factors))
-            sections += [
-                Section(
-                    f'{section.name} {i * parts + part + 1}',
-                    1,
-                    section.cell_length / parts,
-                    (one,),
-                    (section.mass_profile[i],),
-                    section.bends_as,
-                    section.mass_offset[i : i + 1],
-                )
-                for part in range(parts)
-            ]
+            one = replace(
+                section,
+                cells=1,
+                cell_length=section.cell_length / parts,
+                bending_stiffness=(section.bending_stiffness[i] * parts * float(next(factors)),),
+                mass_profile=(section.mass_profile[i],),
+                mass_offset=section.mass_offset[i : i + 1],
+            )
+            numbers = range(i * parts + 1, (i + 1) * parts + 1)
+            sections += [replace(one, name=f'{section.name} {number}') for number in numbers]
     return tuple(sections)
 
 

@@ -163,11 +163,10 @@ def _scaled(catalogue: Catalogue, name: str, values: EffectValues, factor: float
     """Multiply the distance from neutral, within the bounds."""
     scaled: EffectValues = {}
     for parameter in catalogue[name].parameters:
-        original = values[parameter.name]
-        many = original if isinstance(original, tuple) else (original,)
-        shifted = [parameter.neutral + factor * (value - parameter.neutral) for value in many]
-        kept = tuple(float(np.clip(value, parameter.low, parameter.high)) for value in shifted)
-        scaled[parameter.name] = kept if isinstance(original, tuple) else kept[0]
+        original, neutral = values[parameter.name], parameter.neutral
+        shifted = neutral + factor * (np.array(original) - neutral)
+        kept = np.clip(shifted, parameter.low, parameter.high).tolist()
+        scaled[parameter.name] = tuple(kept) if isinstance(original, tuple) else kept
     return scaled
 
 

@@ -2,9 +2,9 @@
 Studies: many robots, simulated or recorded, and the paper's experiments; with their commands.
 
 running.py         any cases on workers, into a table of rows (Parquet files that grow)
-cases.py           one simulated robot: what it hides, how it is built, what is measured of it
-judge.py           a simulated case, diagnosed, held against the truth: a row; power, confusion,
-                   intervals, false alarms and costs, counted from the rows
+cases.py           one simulated robot: what it hides, how it is described, what is measured of it
+judge.py           a case, simulated and diagnosed, held against the truth: a row; power,
+                   confusion, intervals, false alarms and costs, counted from the rows
 plan.py            what to simulate, read from YAML; the folder that belongs to a plan
 campaign.py        command `study campaign`: a plan, run; its text and page
 fleet.py           command `study fleet`: recordings of many robots over time, what changed when

@@ -34,21 +34,9 @@ from ..diagnosis.verdict import Verdict
 from ..model.versions import Preparation
 from ..report.page import Figure, Page, Trace, axes, curve, error_bars, titled, trace
 from ..simulation.hidden import CAUSES
+from . import judge
 from .cases import NOTHING
-from .judge import (
-    NAMING,
-    CaseRow,
-    Power,
-    Rate,
-    confusion,
-    coverage,
-    grouped,
-    methods,
-    powers,
-    rates,
-    rates_by_robot,
-    to_json,
-)
+from .judge import NAMING, CaseRow, Power, Rate, grouped
 from .plan import earlier_rows, read_plan, run_plan, table_of
 
 HELP = 'simulate and diagnose many robots: what would be seen, how often is it right'
@@ -91,26 +79,21 @@ def run(args: argparse.Namespace) -> int:
         print(f'stopped: {there}; the same command goes on from there', file=sys.stderr)
         return ExitCode.INTERRUPTED
     lines = [*summary(rows), *power_lines(rows), *mixed, f'written: {folder}/table, {page}']
-    emit(args, to_json(rows), '\n'.join(lines))
+    emit(args, judge.to_json(rows), '\n'.join(lines))
     return 0
 
 
-HIDDEN_COLUMNS = (
-    *('hidden', 'n', 'right', 'seen', 'right of these', 'wrong name', 'quiet', 'outside'),
-    *('some at once', 'class', 'inside', 'gone', 'time'),
-)
 HIDDEN_MEANING = (
     'seen: stands out of noise and imperfections; of effects, how many of these were right, with '
     'the 95 % interval; quiet: nothing was said to be missing; class: '
     'effects named together, on average; inside: 95 % intervals that hold the truth; gone: error '
     'taken off postures not used (median); time: of the processor for a diagnosis (median).'
 )
-FITTED_COLUMNS = ('intervals of', 'hold', 'of', 'not determined')
 
 
 def hidden_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
-    """Return a row per robot and hidden effect: detection and naming rates, and accuracy."""
-    table = []
+    """Return a row per robot and hidden effect: rates and accuracy; the names come first."""
+    table: list[dict[str, str]] = []
     for (robot, hidden), members in grouped(rows, lambda r: (r.robot, r.hidden)).items():
         verdicts = collections.Counter(row.verdict for row in members)
         visible = [row for row in members if row.visible]
@@ -118,28 +101,29 @@ def hidden_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
         named = [row for row in members if row.verdict in NAMING]
         inside = [held for row in members for held in row.held]
         removed = [row.gone for row in members if row.gone is not None and hidden != NOTHING]
-        cells = [
-            f'{robot}: {hidden}',
-            f'{len(members)}',
-            f'{np.mean([row.right for row in members]):.0%}',
-            f'{len(visible)}',
-            str(Rate.of(row.right for row in visible)) if is_effect else '–',
-            f'{sum(row.wrong_name for row in members)}',
-            f'{verdicts[Verdict.ADEQUATE]}',
-            f'{verdicts[Verdict.OUTSIDE_CATALOGUE]}',
-            f'{verdicts[Verdict.SEVERAL]}',
-            f'{np.mean([max(len(row.group), 1) for row in named]):.1f}' if named else '–',
-            f'{np.mean(inside):.0%}' if inside else '–',
-            f'{np.median(removed):.0%}' if removed else '–',
-            f'{np.median([row.seconds for row in members]):.1f} s',
-        ]
+        alike = [max(len(row.group), 1) for row in named]
+        cells = {
+            'hidden': f'{robot}: {hidden}',
+            'n': f'{len(members)}',
+            'right': f'{np.mean([row.right for row in members]):.0%}',
+            'seen': f'{len(visible)}',
+            'right of these': f'{Rate.of(row.right for row in visible)}' if is_effect else '–',
+            'wrong name': f'{sum(row.wrong_name for row in members)}',
+            'quiet': f'{verdicts[Verdict.ADEQUATE]}',
+            'outside': f'{verdicts[Verdict.OUTSIDE_CATALOGUE]}',
+            'some at once': f'{verdicts[Verdict.SEVERAL]}',
+            'class': f'{np.mean(alike):.1f}' if named else '–',
+            'inside': f'{np.mean(inside):.0%}' if inside else '–',
+            'gone': f'{np.median(removed):.0%}' if removed else '–',
+            'time': f'{np.median([row.seconds for row in members]):.1f} s',
+        }
         table.append(cells)
-    return table
+    return [[*table[0]], *([*cells.values()] for cells in table)]
 
 
 def rate_lines(rows: Sequence[CaseRow]) -> list[str]:
     """Describe the rates that have cases."""
-    return [f'{name}: {rate}' for name, rate in rates(rows).items() if rate.runs]
+    return [f'{name}: {rate}' for name, rate in judge.rates(rows).items() if rate.runs]
 
 
 def summary(rows: Sequence[CaseRow]) -> list[str]:
@@ -148,41 +132,40 @@ def summary(rows: Sequence[CaseRow]) -> list[str]:
     named = [max(len(row.group), 1) for row in rows if row.right and row.effects]
     if named:
         texts.append(f'members of a class that is right, mean: {np.mean(named):.1f}')
-    if rows:
-        seconds = np.median([row.seconds for row in rows])
-        texts.append(f'a diagnosis, median: {seconds:.2g} s of processor time')
+    seconds = np.median([row.seconds for row in rows])
+    texts.append(f'a diagnosis, median: {seconds:.2g} s of processor time')
     problems = collections.Counter(row.problem for row in rows if row.problem)
     worst = [f'{count} x {problem}' for problem, count in problems.most_common(3)]
-    tables: list[list[Sequence[str]]] = [[HIDDEN_COLUMNS, *hidden_rows(rows)]]
+    tables = [hidden_rows(rows)]
     if any(row.truth for row in rows):
-        tables.append([FITTED_COLUMNS, *interval_rows(rows)])
+        tables.append(interval_rows(rows))
     if by_robot := robot_rows(rows):
-        tables.append([*by_robot])
+        tables.append(by_robot)
     return [*map(columns, tables), *texts, *worst]
 
 
 def robot_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
     """Return the rates robot by robot, with a header; nothing where there is one robot."""
-    by_robot = rates_by_robot(rows)
+    by_robot = judge.rates_by_robot(rows)
     if len(by_robot) < 2:
         return []
-    names = [name for name, rate in rates(rows).items() if rate.runs]
+    names = [name for name, rate in judge.rates(rows).items() if rate.runs]
     lines = [[name, *(str(each[name]) for each in by_robot.values())] for name in names]
     return [['by robot', *by_robot], *lines]
 
 
 def interval_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
-    """Return a row per robot, effect and parameter: the coverage of the 95 % intervals."""
+    """Return a row per robot, effect and parameter: how many of its 95 % intervals hold it."""
     hits: dict[tuple[str, str, str], list[bool]] = {}
     for row in rows:
         for name, held in zip(row.parameter, row.held, strict=True):
             hits.setdefault((row.robot, row.hidden, name), []).append(held)
     refused = collections.Counter((row.robot, row.hidden) for row in rows if row.problem)
-    return [
-        [f'{robot}: {hidden} {name}', f'{np.mean(every):.1%}', f'{len(every)}']
-        + [f'{refused[robot, hidden]}']
-        for (robot, hidden, name), every in sorted(hits.items())
-    ]
+    table = [['intervals of', 'hold', 'of', 'not determined']]
+    for (robot, hidden, name), every in sorted(hits.items()):
+        counts = f'{np.mean(every):.1%}', f'{len(every)}', f'{refused[robot, hidden]}'
+        table.append([f'{robot}: {hidden} {name}', *counts])
+    return table
 
 
 def smallest_text(power: Power) -> str:
@@ -201,7 +184,7 @@ def power_lines(rows: Sequence[CaseRow]) -> list[str]:
     return [
         f'{power.robot}: {power.hidden}{f" ({power.way})" if power.way else ""}: '
         f'named {smallest_text(power)}'
-        for power in powers(rows)
+        for power in judge.powers(rows)
     ]
 
 
@@ -218,37 +201,36 @@ def campaign_page(
     page = Page(title, f'{len(rows):,} of {total:,} cases')
     page.box(rate_lines(rows), 'verdict', 'In short, with 95 % intervals')
     if by_robot := robot_rows(rows):
-        page.table(by_robot[0], by_robot[1:], left=[0])
+        page.table(by_robot, left=[0])
     if mixed:
         page.box(mixed, 'warn', 'Rows of several versions')
 
     page.heading('Which size of an effect is seen')
     page.text(NAMED)
-    curves = grouped(powers(rows), lambda power: power.hidden)
+    curves = grouped(judge.powers(rows), lambda power: power.hidden)
     page.figures([power_figure(name, members) for name, members in curves.items()], 'many')
-    header: Sequence[str] = ('robot', 'effect', 'measured so', 'named in four of five cases')
-    members = chain.from_iterable(curves.values())
-    cells = [[one.robot, one.hidden, one.way or 'all', smallest_text(one)] for one in members]
-    page.table(header, cells, left=[0, 1, 2, 3])
+    cells = [['robot', 'effect', 'measured so', 'named in four of five cases']]
+    for one in chain.from_iterable(curves.values()):
+        cells.append([one.robot, one.hidden, one.way or 'all', smallest_text(one)])
+    page.table(cells, left=[0, 1, 2, 3])
 
     page.heading('What is said of what is hidden')
     page.figures([confusion_figure(rows)])
-    page.table(HIDDEN_COLUMNS, hidden_rows(rows), left=[0])
+    page.table(hidden_rows(rows), left=[0])
     page.text(HIDDEN_MEANING)
 
     page.heading('Intervals')
     page.figures([coverage_figure(rows)])
 
     page.heading('What postures, trials and markers cost')
-    header = ('measured so', 'effects seen', 'named', 'nothing hidden: said so', 'a diagnosis')
-    page.table(header, cost_rows(rows), left=[0])
+    page.table(cost_rows(rows), left=[0])
     return page
 
 
 def cost_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
     """Return a row per method of measurement over the same arms: rates and computing time."""
-    table = []
-    for way, members in grouped(rows, methods(rows)).items():
+    table = [['measured so', 'effects seen', 'named', 'nothing hidden: said so', 'a diagnosis']]
+    for way, members in grouped(rows, judge.methods(rows)).items():
         hidden = [row for row in members if row.hidden not in (NOTHING, *CAUSES)]
         counted = (
             Rate.of(row.alarm for row in hidden),
@@ -266,8 +248,7 @@ def power_figure(name: str, powers_of_it: Sequence[Power]) -> Figure:
     data: list[dict[str, Any]] = []
     for i, power in enumerate(powers_of_it):
         label = '; '.join(filter(None, (power.robot if several else '', power.way)))
-        rates = [100.0 * (rate.share or 0.0) for rate in power.right]
-        bars, size = rate_bars(power.right), 7 + 3 * min(i, 3)  # none hides another
+        (rates, bars), size = percentages(power.right), 7 + 3 * min(i, 3)  # none hides another
         line = curve(list(power.sizes), rates, label, line_style(i), size=size, error_y=bars)
         data.append({**line, 'showlegend': len(powers_of_it) > 1})
     x, y = titled('size, times the typical one', type='log'), titled('named [%]', range=[-4, 104])
@@ -276,16 +257,16 @@ def power_figure(name: str, powers_of_it: Sequence[Power]) -> Figure:
     return Figure(data, layout, name, caption, 300 + 24 * len(data))
 
 
-def rate_bars(counted: Sequence[Rate]) -> dict[str, Any]:
-    """Return the 95 % intervals of rates [%]."""
-    both = [(rate.share or 0.0, *rate.interval) for rate in counted]
-    up = [100.0 * (high - fraction) for fraction, _, high in both]
-    return error_bars(up, [100.0 * (fraction - low) for fraction, low, _ in both], width=3)
+def percentages(counted: Sequence[Rate]) -> tuple[list[float], dict[str, Any]]:
+    """Return rates [%], and their 95 % intervals as bars."""
+    share, low, high = np.array([(rate.share or 0.0, *rate.interval) for rate in counted]).T
+    up, down = (100.0 * (high - share)).tolist(), (100.0 * (share - low)).tolist()
+    return (100.0 * share).tolist(), error_bars(up, down, width=3)
 
 
 def confusion_figure(rows: Sequence[CaseRow]) -> Figure:
     """Draw the verdicts over the hidden effects (confusion matrix)."""
-    hidden, words, counts = confusion(rows)
+    hidden, words, counts = judge.confusion(rows)
     heat = {
         'type': 'heatmap',
         'x': words,
@@ -309,16 +290,15 @@ def confusion_figure(rows: Sequence[CaseRow]) -> Figure:
 
 def coverage_figure(rows: Sequence[CaseRow]) -> Figure:
     """Draw the coverage of intervals over their nominal confidence."""
-    counted = coverage(rows)
+    counted = judge.coverage(rows)
     held = [rate for _, rate in counted]
-    rates = [100.0 * (rate.share or 0.0) for rate in held]
+    rates, bars = percentages(held)
     low = max(0.0, min([40.0, *(percentage - 15.0 for percentage in rates)]))
     ends, promised = [low, 104.0], [100.0 * nominal for nominal, _ in counted]
     line = {'color': ERROR, 'width': 2, 'dash': 'dot'}
     area: Trace = {'fill': 'toself', 'fillcolor': BAND, 'hoverinfo': 'skip', 'line': {'width': 0}}
-    style: Trace = {'line': {'color': PREDICTED}, 'marker': {'size': 8}}
+    style: Trace = {'line': {'color': PREDICTED}, 'marker': {'size': 8}, 'error_y': bars}
     style |= {'text': [f'{percentage:.0f} %' for percentage in rates], 'textposition': 'top left'}
-    style['error_y'] = rate_bars(held)
     traces = [
         trace([low, 104.0, 104.0], [low, 104.0, low], 'too narrow', **area),
         trace(ends, ends, 'as promised', line=line),

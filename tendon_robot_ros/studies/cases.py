@@ -6,7 +6,6 @@ import itertools
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -19,9 +18,7 @@ from ..inference.noise import Whitener, estimate_noise, input_slopes
 from ..inference.predict import Predictor
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
-from ..simulation.hidden import CAUSES, Built, Workmanship, chosen
-from ..simulation.measurements import SimulatedNoise, TrackerFaults, simulate
-from ..simulation.plant import make_plant
+from ..simulation.hidden import CAUSES, Built, chosen
 from ..workspace.postures import SEQUENCE_FACTOR, default_postures
 
 HiddenSizes = dict[str, float | list[float]]
@@ -35,6 +32,10 @@ SOFT_CELL_LOSS = 0.45
 VECTOR_FRACTIONS = (0.4, 1.0)
 # [1] of the typical size, section by section: they differ, or else it would be another effect
 SECTION_FACTORS = (1.5, -1.0)
+# what a tracker does to readings besides noise, as in a laboratory
+LOST_FRACTION = 0.03  # [1] of the readings, because markers hide one another
+WILD_FRACTION = 0.005  # [1] of the readings: about one in a data set, so that all are tried
+WILD_SD = 5e-3  # [m] a cell or so, because one marker is taken for the next
 
 
 @dataclass(frozen=True)
@@ -70,9 +71,9 @@ class Design:
 class PlannedRobot:
     """A robot of a plan."""
 
-    name: str
     robot: Robot  # as its owner describes it, with all that may be hidden
     down: tuple[float, float, float] | None = None  # [m/s²] where gravity is hidden
+    skips: tuple[str, ...] = ()  # what is not hidden in it, of all that the plan names
 
 
 @dataclass(frozen=True)
@@ -119,21 +120,16 @@ class Case:
         return f'{self.robot}/{self.hidden}/{self.size:.6g}/{self.number}/{tail}{more}'
 
 
-@dataclass(frozen=True)
-class Chance:
-    """The seeds of a case: the same arm whatever the design, whoever computes it and when."""
+def seeds_of(case: Case, seed: int) -> tuple[int, ...]:
+    """
+    Return the seeds of the arm, of the measurements to fit and to check, and of what is hidden.
 
-    arm: int
-    fit: int
-    check: int
-    direction: int
-
-    @classmethod
-    def of(cls, case: Case, seed: int) -> Chance:
-        """Spawn them from the plan's seed, by what the case is."""
-        label = f'{case.robot}/{case.hidden}/{case.size:.6g}'
-        root = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(label.encode()), case.number))
-        return cls(*(int(one.generate_state(1)[0]) for one in root.spawn(4)))
+    The plan's seed and what the case is give the same arm whatever the design, whoever computes
+    it and when.
+    """
+    label = f'{case.robot}/{case.hidden}/{case.size:.6g}'
+    root = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(label.encode()), case.number))
+    return tuple(int(one.generate_state(1)[0]) for one in root.spawn(4))
 
 
 @dataclass(frozen=True)
@@ -194,53 +190,6 @@ def hidden_values(
     return values
 
 
-def simulated(
-    case: Case,
-    arm: PlannedRobot,
-    design: Design,
-    noise: SimulatedNoise,
-    catalogue: Catalogue,
-    seed: int = 0,
-    own_model: bool = False,
-) -> Simulated:
-    """
-    Build the arm of a case and measure it, and once more in other postures.
-
-    Parameters
-    ----------
-    case : Case
-    arm : PlannedRobot
-    design : Design
-    noise : SimulatedNoise
-    catalogue : Catalogue
-    seed : int
-        Of the plan.
-    own_model : bool
-        The arm is one of the model itself, of the same cells and laws, so that nothing but noise
-        moves what is fitted.
-
-    Raises
-    ------
-    TendonRobotError
-        The hidden effect cannot be, or the arm has no equilibrium.
-
-    """
-    robot, chance = described(case, arm, catalogue), Chance.of(case, seed)
-    values = hidden_values(case.hidden, case.size, robot, catalogue, chance.direction)
-    work = Workmanship().times(case.level) if case.level else None
-    options: dict[str, Any] = {'refine': 1, 'capstan': False} if own_model else {}
-    options |= {'scatter': case.scatter, 'seed': chance.arm, 'catalogue': catalogue, 'work': work}
-    plant = make_plant(robot, {} if case.hidden == NOTHING else {case.hidden: values}, **options)
-    trials = design.trials if design.data is None else int(design.data.positions.shape[1])
-    sets = []
-    for which, own in enumerate((chance.fit, chance.check)):
-        inputs, kind, path = postures_of(case, robot, design, catalogue, which)
-        how: dict[str, Any] = {'input': kind, 'path': path, 'markers': design.placed(robot)}
-        one = simulate(plant, inputs, noise=noise, trials=trials, seed=own, **how)
-        sets.append(with_lost_readings(one, own) if case.level else one)
-    return Simulated(robot, sets[0], sets[1], values, plant.built, catalogue)
-
-
 def postures_of(
     case: Case, robot: Robot, design: Design, catalogue: Catalogue, which: int
 ) -> tuple[Floats, str, str]:
@@ -258,11 +207,10 @@ def postures_of(
 
 def with_lost_readings(dataset: DataSet, seed: int) -> DataSet:
     """Remove some readings of the markers, and displace a few of them far."""
-    random, faults = np.random.default_rng([seed, 19]), TrackerFaults()
-    positions = dataset.positions.copy()
-    wild = random.random(positions.shape[:3]) < faults.wild
-    positions[wild] += random.normal(0.0, faults.wild_sd, (int(wild.sum()), 3))
-    lost = random.random(positions.shape[:3]) < faults.lost
+    random, positions = np.random.default_rng([seed, 19]), dataset.positions.copy()
+    wild = random.random(positions.shape[:3]) < WILD_FRACTION
+    positions[wild] += random.normal(0.0, WILD_SD, (int(wild.sum()), 3))
+    lost = random.random(positions.shape[:3]) < LOST_FRACTION
     lost[:, 0, 0] = False  # every posture keeps a reading
     positions[lost] = np.nan
     return replace(dataset, positions=positions)

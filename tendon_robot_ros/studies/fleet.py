@@ -77,12 +77,9 @@ def run(args: argparse.Namespace) -> int:
         rows = judge_all(study, cases, table, workers, show, 'recordings')
     rows.sort(key=lambda row: (row.robot, row.when, row.place))
     page = fleet_page(rows, f'Fleet: {folder.resolve().name}').write(output / PAGE)
-    content = {
-        'recordings': [asdict(row) for row in rows],
-        'changes': [asdict(change) for change in changes(rows)],
-    }
+    content = {'recordings': [asdict(row) for row in rows], 'changes': changes(rows)}
     left_out = [f'left out: {line}' for line in problems(rows)]
-    text = [columns([COLUMNS, *fleet_rows(rows)]), *change_lines(rows), *left_out]
+    text = [columns(fleet_rows(rows)), *change_lines(rows), *left_out]
     emit(args, content, '\n'.join([*text, f'written: {output}/table, {page}']))
     return 0
 
@@ -214,16 +211,6 @@ def when_of(path: Path, count: int = 1) -> tuple[str, str]:
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec='minutes'), dated_by
 
 
-@dataclass(frozen=True)
-class Change:
-    """A difference between a recording and the one before of the same robot."""
-
-    robot: str
-    since: str  # the last one without it
-    when: str
-    text: str
-
-
 def histories(rows: Iterable[FleetRow]) -> dict[str, list[FleetRow]]:
     """Collect what could be read by robot, in the order of time."""
     read = (row for row in rows if row.verdict != ERROR)
@@ -237,10 +224,10 @@ def tracked(rows: Sequence[FleetRow]) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def changes(rows: Sequence[FleetRow]) -> list[Change]:
-    """Return the changes of every robot, in the order of time."""
+def changes(rows: Sequence[FleetRow]) -> list[dict[str, str]]:
+    """Return what differs from the recording before of the same robot, in the order of time."""
     return [
-        Change(robot, old.when, new.when, text)
+        {'robot': robot, 'since': old.when, 'when': new.when, 'text': text}
         for robot, own in histories(rows).items()
         for old, new in itertools.pairwise(own)
         for text in differences_of(old, new)
@@ -264,8 +251,7 @@ def differences_of(old: FleetRow, new: FleetRow) -> list[str]:
         if first is None or then is None or name.split()[0] not in new.effects:
             continue
         if then[1] > first[2] or then[2] < first[1]:  # it has left its interval
-            unit = new.unit[new.parameter.index(name)]
-            scale, shown = _scale(unit, [first, then], name)
+            scale, shown = _scale(new, name, [first, then])
             ends = [
                 f'{digits(scale * v)} ({digits(scale * low)} to {digits(scale * high)})'
                 for v, low, high in (first, then)
@@ -274,8 +260,9 @@ def differences_of(old: FleetRow, new: FleetRow) -> list[str]:
     return texts
 
 
-def _scale(unit: str, values: npt.ArrayLike, name: str) -> tuple[float, str]:
-    """Return the factor and the unit that suit values, some of which may be infinite."""
+def _scale(row: FleetRow, name: str, values: npt.ArrayLike) -> tuple[float, str]:
+    """Return the factor and the unit that suit values of a parameter; some may be infinite."""
+    unit = row.unit[row.parameter.index(name)]
     sizes = np.abs(np.asarray(values, dtype=float))
     largest = float(sizes[np.isfinite(sizes)].max(initial=0.0))
     return scale_of(unit, largest, name.split()[-1])
@@ -289,18 +276,15 @@ def words_of(row: FleetRow) -> str:
     return f'{row.verdict.replace("_", " ")}{": " + names if names else ""}'
 
 
-COLUMNS = ('robot', 'when', 'measurements', 'verdict', 'error', 'with it', 'noise floor')
-
-
 def fleet_rows(rows: Sequence[FleetRow]) -> list[list[str]]:
     """Return a row per recording that could be read; a time of its files is said to be that."""
-    told = '', ' (its files)'
-    return [
-        [row.robot, _readable(row.when) + told[row.dated_by == 'file'], row.place, words_of(row)]
-        + [mm(error) for error in (row.before, row.after, row.floor)]
-        for row in rows
-        if row.verdict != ERROR
-    ]
+    table = [['robot', 'when', 'measurements', 'verdict', 'error', 'with it', 'noise floor']]
+    for row in rows:
+        if row.verdict != ERROR:
+            when = _readable(row.when) + (' (its files)' if row.dated_by == 'file' else '')
+            errors = map(mm, (row.before, row.after, row.floor))
+            table.append([row.robot, when, row.place, words_of(row), *errors])
+    return table
 
 
 def _readable(when: str) -> str:
@@ -311,7 +295,7 @@ def _readable(when: str) -> str:
 def change_lines(rows: Sequence[FleetRow]) -> list[str]:
     """Describe the changes, a line each, or say that there are none."""
     lines = [
-        f'{c.robot}, {_readable(c.when)} (since {_readable(c.since)}): {c.text}'
+        f'{c["robot"]}, {_readable(c["when"])} (since {_readable(c["since"])}): {c["text"]}'
         for c in changes(rows)
     ]
     return lines or ['Nothing changed from one recording to the next.']
@@ -333,7 +317,7 @@ def fleet_page(rows: Sequence[FleetRow], title: str) -> Page:
     for robot, history in own.items():
         page.heading(robot)
         page.figures([error_figure(history), *map_parameters(history)], 'two')
-        page.table(COLUMNS[1:], [row[1:] for row in fleet_rows(history)], left=[0, 1, 2])
+        page.table([row[1:] for row in fleet_rows(history)], left=[0, 1, 2])
     return page
 
 
@@ -360,8 +344,7 @@ def map_parameters(history: Sequence[FleetRow]) -> list[Figure]:
     for name in tracked(history):
         rows = [row for row in history if name in row.parameter]
         known = np.array([row.fitted(name) for row in rows])  # (r, 3) value, low, high
-        unit = rows[0].unit[rows[0].parameter.index(name)]
-        factor, unit = _scale(unit, known, name)
+        factor, unit = _scale(rows[0], name, known)
         value, low, high = factor * known.T
         bars = error_bars(
             plain(np.maximum(high - value, 0.0)), plain(np.maximum(value - low, 0.0))

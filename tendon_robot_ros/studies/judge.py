@@ -26,9 +26,11 @@ from ..inference.predict import Predictor
 from ..inference.statistics import normal_ppf, rms
 from ..model.model import Model
 from ..model.versions import catalogue_of
-from ..simulation.hidden import CAUSES, Built
-from ..simulation.measurements import SimulatedNoise
-from .cases import NOTHING, Case, Design, PlannedRobot, Simulated, is_visible, simulated, truth_of
+from ..simulation.hidden import CAUSES, Built, Workmanship
+from ..simulation.measurements import SimulatedNoise, simulate
+from ..simulation.plant import make_plant
+from . import cases
+from .cases import NOTHING, Case, Design, PlannedRobot, Simulated, is_visible, truth_of
 from .running import ERROR, Row, Study
 
 DIAGNOSIS, INTERVALS = 'diagnosis', 'intervals'
@@ -89,7 +91,7 @@ class Setup(Study[Case, CaseRow]):
 
     def arm(self, name: str) -> PlannedRobot:
         """Return a robot by its name."""
-        return next(arm for arm in self.arms if arm.name == name)
+        return next(arm for arm in self.arms if arm.robot.name == name)
 
     def compile(self) -> None:
         """Have the kernel compiled before workers would do it side by side."""
@@ -98,16 +100,39 @@ class Setup(Study[Case, CaseRow]):
 
     def result(self, case: Case) -> dict[str, Any]:
         """Simulate, diagnose, and hold the verdict against the truth."""
-        sim = simulated(
-            case,
-            self.arm(case.robot),
-            self.designs[case.design],
-            self.noises[case.noise][1],
-            catalogue_of(self.effects),
-            self.seed,
-            own_model=self.question == INTERVALS,
-        )
-        return (diagnosed if self.question == DIAGNOSIS else fitted)(case, sim)
+        return (diagnosed if self.question == DIAGNOSIS else fitted)(case, self.simulated(case))
+
+    def simulated(self, case: Case) -> Simulated:
+        """
+        Build the arm of a case and measure it, and once more in other postures.
+
+        Where intervals are in question the arm is one of the model itself, of the same cells and
+        laws, so that nothing but noise moves what is fitted.
+
+        Raises
+        ------
+        TendonRobotError
+            The hidden effect cannot be, or the arm has no equilibrium.
+
+        """
+        catalogue, design = catalogue_of(self.effects), self.designs[case.design]
+        robot = cases.described(case, self.arm(case.robot), catalogue)
+        of_arm, of_fit, of_check, of_hidden = cases.seeds_of(case, self.seed)
+        values = cases.hidden_values(case.hidden, case.size, robot, catalogue, of_hidden)
+        hidden = {} if case.hidden == NOTHING else {case.hidden: values}
+        work = Workmanship().times(case.level) if case.level else None
+        own_model = self.question == INTERVALS
+        how: dict[str, Any] = {'refine': 1, 'capstan': False} if own_model else {}
+        how |= {'scatter': case.scatter, 'seed': of_arm, 'catalogue': catalogue, 'work': work}
+        plant = make_plant(robot, hidden, **how)
+        trials = design.trials if design.data is None else int(design.data.positions.shape[1])
+        sets, noise = [], self.noises[case.noise][1]
+        for which, own in enumerate((of_fit, of_check)):
+            inputs, kind, path = cases.postures_of(case, robot, design, catalogue, which)
+            data: dict[str, Any] = {'input': kind, 'path': path, 'markers': design.placed(robot)}
+            one = simulate(plant, inputs, noise=noise, trials=trials, seed=own, **data)
+            sets.append(cases.with_lost_readings(one, own) if case.level else one)
+        return Simulated(robot, sets[0], sets[1], values, plant.built, catalogue)
 
     def row(self, case: Case, result: Mapping[str, Any]) -> CaseRow:
         """Return the row of a case."""
@@ -287,13 +312,9 @@ class Power:
 
 def methods(rows: Sequence[CaseRow]) -> Callable[[CaseRow], str]:
     """Return a function that describes how a case was measured, where that differs in the rows."""
-    parts: dict[str, Callable[[CaseRow], str]] = {
-        'design': lambda row: row.design,
-        'noise': lambda row: f'noise {row.noise}',
-        'level': lambda row: f'imperfections x {row.level:g}',
-    }
-    varying = [part for name, part in parts.items() if len({getattr(r, name) for r in rows}) > 1]
-    return lambda row: '; '.join(part(row) for part in varying)
+    words = {'design': '{}', 'noise': 'noise {}', 'level': 'imperfections x {:g}'}
+    varying = [name for name in words if len({getattr(row, name) for row in rows}) > 1]
+    return lambda row: '; '.join(words[name].format(getattr(row, name)) for name in varying)
 
 
 def powers(rows: Sequence[CaseRow]) -> list[Power]:

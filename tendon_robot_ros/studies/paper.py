@@ -32,31 +32,17 @@ from ..inference.statistics import half_width
 from ..report import comparison as say
 from ..report import diagnosis_text
 from ..report.error_plots import angles, tip_boxes
-from ..report.page import (
-    Figure,
-    Page,
-    axes,
-    curve,
-    error_bars,
-    mm_list,
-    plain,
-    titled,
-)
+from ..report.page import Figure, Page, axes, curve, error_bars, mm_list, plain, titled
 from ..report.sentences import interval_name
-from ..report.workspace_page import FAMILY_COLUMNS, rows, view_figures
+from ..report.workspace_page import rows, view_figures
 from ..robot import Robot, load_robot
 from .friction import SlipFriction
-from .paper_motion import Assumed, MotionExperiment, Published
-from .paper_postures import (
-    DisplacementExperiment,
-    SmallExperiment,
-    TensionExperiment,
-)
+from .paper_motion import Assumed, MotionExperiment, Published, Range
+from .paper_postures import DisplacementExperiment, SmallExperiment, TensionExperiment
 
 HELP = "the paper's experiments, published numbers beside ours, on one page"
 PAPER_ROBOTS = ('kato_1_1', 'kato_10_1', 'kato_10_1_single', 'kato_2_1')
 PAPER_FILES = ('paper.html', 'paper.json')
-Range = tuple[float, float, float]
 # [printed unit / SI] (Kato et al. 2015)
 SCALES = {'1': 1.0, '%': 100.0, 'mm': 1e3, '°': 180.0 / np.pi}
 # [1] relative difference that counts as met, because what else is assumed moves as much
@@ -132,7 +118,7 @@ class Paper:
     def __init__(self, robots: Sequence[Robot], show: Progress) -> None:
         target, prototype, single, small = robots
         show('friction', 0, 5)
-        self.rows = [*friction_numbers(rehearsals())]
+        self.rows = [*friction_numbers()]
         show('motion', 1, 5)
         self.motion = MotionExperiment(target)
         self.rows += motion_numbers(self.motion)
@@ -152,19 +138,27 @@ class Paper:
         return {'rows': rows}
 
 
-def friction_numbers(frictions: dict[str, SlipFriction]) -> Iterator[Number]:
-    """Return the coefficients of section IV.A."""
+def friction_numbers() -> Iterator[Number]:
+    """
+    Draw slip angles of the published coefficients and evaluate them, scale by scale (IV.A).
+
+    The measured ones are not printed.
+    """
     why = 'rehearsed with drawn slip angles (SD 0.03 assumed); ± is the 95 % interval of the mean'
-    for scale, one in frictions.items():
-        what, ours = f'friction coefficient, {scale}, n = {one.n}', (one.mean, one.low, one.high)
-        yield Number.of('IV.A', what, '1', Published.FRICTION[scale][0], ours, why)
+    for scale, (coefficient, n) in Published.FRICTION.items():
+        random, reading = np.random.default_rng([0, n]), Assumed.ANGLE_READING_DEG
+        degrees = np.degrees(np.arctan(coefficient + Assumed.TANGENT_SD * random.normal(size=n)))
+        angles = np.radians(np.round(degrees / reading) * reading)
+        one = SlipFriction(tuple(map(str, range(1, n + 1))), angles)
+        what, ours = f'friction coefficient, {scale}, n = {n}', (one.mean, one.low, one.high)
+        yield Number.of('IV.A', what, '1', coefficient, ours, why)
 
 
 def motion_numbers(experiment: MotionExperiment) -> Iterator[Number]:
     """Return the ranges and the cost of stiff tendons of section IV.B."""
-    first = next(one for one in experiment.arrangements if one.across > 0.0)
-    why = f'opposite-side pair, {first.name}; the range is over ±1° to ±5° for "180°"'
-    ours = (first.across, first.low, first.high)
+    reached = {name: ours for name, ours in experiment.arrangements.items() if ours[0] > 0.0}
+    name, ours = next(iter(reached.items()))
+    why = f'opposite-side pair, {name}; the range is over ±1° to ±5° for "180°"'
     yield Number.of('IV.B', 'tip positions at the 180° view, across', 'mm', 50.0, ours, why)
     bends = [one.bending[0] for one in (experiment.stiffening, experiment.every_tendon)]
     what = 'cost of ignoring the tendons’ stiffness (A7), proximal bends'
@@ -180,8 +174,7 @@ def displacement_numbers(experiment: DisplacementExperiment) -> Iterator[Number]
         'trial to trial; the range is over 0 to 2°, 5 to 95 % of prototypes'
     )
     for model, published, sd in (('FKM', 5.9, 2.9), ('PCCA', 23.7, 3.6)):
-        spread, what = experiment.errors[model], 'tip error at given pulls'
-        errors, sds = (spread.mean, spread.low, spread.high), (spread.sd, *spread.sd_range)
+        (errors, sds), what = experiment.errors[model], 'tip error at given pulls'
         yield Number.of('IV.C', f'{what}, {model}', 'mm', published, errors, of_error)
         yield Number.of('IV.C', f'its ±, {model}', 'mm', sd, sds, of_sd)
     why = 'put in; taut wires hold the sum over each section, which takes some of it away'
@@ -220,28 +213,14 @@ def small_numbers(experiment: SmallExperiment) -> Iterator[Number]:
     yield Number.of('IV.E', 'tip at 90°, PCCA', 'mm', 7.6, ours, why)
 
 
-def rehearsals() -> dict[str, SlipFriction]:
-    """
-    Draw slip angles of the published coefficients and evaluate them, scale by scale (IV.A).
-
-    The measured ones are not printed.
-    """
-    frictions = {}
-    for scale, (coefficient, n) in Published.FRICTION.items():
-        random, reading = np.random.default_rng([0, n]), Assumed.ANGLE_READING_DEG
-        degrees = np.degrees(np.arctan(coefficient + Assumed.TANGENT_SD * random.normal(size=n)))
-        angles = np.radians(np.round(degrees / reading) * reading)
-        frictions[scale] = SlipFriction(tuple(map(str, range(1, n + 1))), angles)
-    return frictions
-
-
 PAPER_SOURCE = (
     'T. Kato, I. Okumura, S.-E. Song, A. J. Golby, N. Hata: Tendon-Driven Continuum Robot for '
     'Endoscopic Surgery: Preclinical Development and Validation of a Tension Propagation Model, '
     'IEEE/ASME Transactions on Mechatronics 20 (2015), doi 10.1109/TMECH.2014.2372635. "Trials" '
     'on this page are simulated.'
 )
-ASSUMED = (  # what | assumed | why
+ASSUMED = (
+    'what | assumed | why',
     'slip angles (IV.A, Table II) | drawn: SD 0.03, read to 0.1° | only mean and n are printed',
     'wires of a group (Table I) | three at one place, arm 0.65 mm, 5 N each | '
     'gives the published 50 mm; others are shown',
@@ -301,11 +280,10 @@ def paper_page(paper: Paper) -> Page:
         f'leaves open; {len(contradicted)} are not met.'
     )
     page.box([verdict], 'verdict' if contradicted else 'verdict good')
-    page.table(ROW_COLUMNS, list(map(number_cells, table)), left=(1, 6, 7))
+    page.table([ROW_COLUMNS, *map(number_cells, table)], left=(1, 6, 7))
     page.heading('What is assumed')
     page.text('Tables I to IV of the paper are lost in the text that was used. Assumed instead:')
-    assumed = [line.split(' | ') for line in ASSUMED]
-    page.table(('what', 'assumed', 'why'), assumed, left=(1, 2))
+    page.table([line.split(' | ') for line in ASSUMED], left=(1, 2))
     add_motion(page, paper.motion)
     add_displacement(page, paper.displacement)
     add_tension(page, paper.tension)
@@ -328,16 +306,12 @@ def add_motion(page: Page, experiment: MotionExperiment) -> None:
     """Add section IV.B."""
     page.heading('IV.B Range of motion (figures 7 and 8)')
     page.text('The tips at the 180° view span 50 mm across, as published; here:')
-    page.table(
-        ('wires of a group', 'across', '"180°" within 1° to 5°'),
-        [
-            [one.name, mm(one.across), f'{mm(one.low)} to {mm(one.high)}']
-            for one in experiment.arrangements
-        ],
-        left=[0],
-    )
+    spans = [['wires of a group', 'across', '"180°" within 1° to 5°']]
+    for name, (across, low, high) in experiment.arrangements.items():
+        spans.append([name, mm(across), f'{mm(low)} to {mm(high)}'])
+    page.table(spans, left=[0])
     page.text('The 50 mm therefore rule out 5 N in all.')
-    page.table(FAMILY_COLUMNS, rows(experiment.workspace), left=(1, 2))
+    page.table(rows(experiment.workspace), left=(1, 2))
     for view, name in zip(Published.VIEW_ANGLES_RAD, ('Figure 8', 'Figure 7'), strict=True):
         families = experiment.workspace.of(view)
         page.text(f'{name}: the opposite-side pair, and the same side where it reaches the view.')
@@ -361,8 +335,8 @@ def add_motion(page: Page, experiment: MotionExperiment) -> None:
 def add_displacement(page: Page, experiment: DisplacementExperiment) -> None:
     """Add section IV.C."""
     page.heading('IV.C Posture by wire pull (figures 12 to 15)')
-    header = ('arrangement', 'arm', 'proximal / distal pull', 'tip z', 'FKM to PCCA')
-    cells = []
+    names = 'arrangement | arm | proximal / distal pull | tip z | FKM to PCCA | at all heights'
+    cells = [names.split(' | ')]
     for one in experiment.others:
         two = list(one.pair.indices)
         texts = (
@@ -372,7 +346,7 @@ def add_displacement(page: Page, experiment: DisplacementExperiment) -> None:
             ' to '.join(f'{1e3 * d:.1f}' for d in one.everywhere),
         )
         cells.append([one.pair.kind, mm(one.arm, 2), *(f'{text} mm' for text in texts)])
-    page.table((*header, 'at all heights'), cells, left=(2, 3, 4))
+    page.table(cells, left=(2, 3, 4))
     low, high = experiment.heights.everywhere
     page.text(
         'The published errors (5.9 and 23.7 mm) require 17.8 to 29.6 mm between the tips of FKM '

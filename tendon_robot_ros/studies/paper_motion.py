@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -12,13 +12,9 @@ from ..common.rotations import turned_in_plane
 from ..model.model import Model
 from ..robot import Robot
 from ..simulation.measurements import SimulatedNoise
-from ..workspace.view_angle import (
-    POSTURES_PER_SIDE,
-    Family,
-    Pair,
-    Workspace,
-    bisect,
-)
+from ..workspace.view_angle import POSTURES_PER_SIDE, Family, Pair, Workspace, bisect
+
+Range = tuple[float, float, float]  # a number, and the ends of what it may be
 
 
 class Published:
@@ -158,16 +154,6 @@ def at_view(model: Model, inputs: tuple[int, int], near: Floats, view: float, si
     return bisect(gap_at, rows[postures, at], rows[postures, at + 1])
 
 
-@dataclass(frozen=True)
-class Arrangement:
-    """An arrangement of the three wires of a group, and the range of the tips that it gives."""
-
-    name: str
-    across: float  # [m] of the tips at the 180° view; 0: not reached
-    low: float  # [m] over the tolerances of the view angle
-    high: float
-
-
 class MotionExperiment:
     """Section IV.B: a robot of two sections with grouped tendons, swept."""
 
@@ -181,7 +167,8 @@ class MotionExperiment:
             variants[f'three wires spread by ±{angle:g}°, {high:g} N each'] = spread(robot, angle)
         shared = replace(robot, tension_limits=(min(low, high / 3.0), high / 3.0))
         variants[f'three wires at one place, {high:g} N in all'] = shared
-        self.arrangements = [arrangement(name, r, family.pair) for name, r in variants.items()]
+        # arrangement of the three wires of a group -> `across`
+        self.arrangements = {name: across(one, family.pair) for name, one in variants.items()}
         self.stiffening = Stiffening(robot, family)  # by the tendons that are pulled
         self.every_tendon = Stiffening(robot, family, every=True)  # by all that run there
 
@@ -238,8 +225,12 @@ class Stiffening:
         self.evened = mean_distance(evened.tip_position, limp.tip_position)
 
 
-def arrangement(name: str, robot: Robot, pair: Pair) -> Arrangement:
-    """Return the range of the tips at the 180° view, over the tolerances of that angle."""
+def across(robot: Robot, pair: Pair) -> Range:
+    """
+    Return how far the tips at the 180° view are apart [m], 0 where it is not reached.
+
+    The ends of the range are those over the tolerances of the view angle.
+    """
     step, low = Published.TENSION_STEP_N, Published.PRETENSION_N
     wide = np.radians(max(Assumed.VIEW_TOLERANCES_DEG))
     views = Published.VIEW_ANGLES_RAD[:1]
@@ -252,4 +243,4 @@ def arrangement(name: str, robot: Robot, pair: Pair) -> Arrangement:
             near = family.tips[deviations <= np.radians(tolerance), 0]
         spans.append(float(np.ptp(near)) if len(near) else 0.0)
     middle = spans[Assumed.VIEW_TOLERANCES_DEG.index(2.5)]
-    return Arrangement(name, middle, min(spans), max(spans))
+    return middle, min(spans), max(spans)

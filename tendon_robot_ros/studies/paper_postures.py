@@ -16,6 +16,7 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import InputError
+from ..common.rotations import turned_in_plane
 from ..comparison.compare import compare
 from ..comparison.result import Comparison
 from ..data import DataSet, default_markers
@@ -26,7 +27,7 @@ from ..robot import Robot
 from ..simulation.measurements import simulate
 from ..simulation.plant import Plant, make_plant
 from ..workspace.view_angle import Pair, pairs_of
-from .paper_motion import Assumed, Published, at_view, pcca, with_arm, with_cells
+from .paper_motion import Assumed, Published, Range, at_view, pcca, with_arm, with_cells
 
 HEIGHT_NAMES = ('maximum tip height', 'median tip height', 'minimum tip height')
 HINGE_MODEL = 'FKM + hinge friction'
@@ -38,24 +39,10 @@ class Heights:
 
     pair: Pair
     arm: float  # [m]
-    tensions: Floats  # (3, m) [N] by the FKM
     pulls: Floats  # (3, m) [m], NaN = no wire
     tips: Floats  # (3, 3) [m] by the FKM
     apart: Floats  # (3,) [m] between the tips of FKM and PCCA
     everywhere: tuple[float, float]  # [m] smallest and largest `apart` of all such postures
-
-
-@dataclass(frozen=True)
-class Spread:
-    """A tip error [m]: mean over prototypes, and the 5th and 95th percentile among them."""
-
-    mean: float
-    low: float
-    high: float
-    sd: float  # over the trials of a prototype, root mean square
-    # its 5th percentile where cells do not change from trial to trial, and its 95th where they
-    # change as much as they scatter
-    sd_range: tuple[float, float]
 
 
 class DisplacementExperiment:
@@ -119,7 +106,6 @@ def find_heights(robot: Robot, pair: Pair) -> Heights | None:
     return Heights(
         pair=pair,
         arm=abs(robot.tendons[0].base[0]),
-        tensions=tensions[chosen],
         pulls=pulls,
         tips=shapes.tip_position[chosen],
         apart=apart[chosen],
@@ -166,8 +152,16 @@ def pulled_by_hand(plant: Plant, heights: Heights, p: int, random: np.random.Gen
     return plant.shapes(pulls, displacement=True).positions
 
 
-def many_prototypes(plant: Plant, heights: Heights, comparison: Comparison) -> dict[str, Spread]:
-    """Tip errors at the highest tip, by model, of prototypes that differ in their cells' play."""
+def many_prototypes(
+    plant: Plant, heights: Heights, comparison: Comparison
+) -> dict[str, tuple[Range, Range]]:
+    """
+    Return tip errors at the highest tip, by model, of prototypes that differ in their cells' play.
+
+    Of each the mean over prototypes with the 5th and the 95th percentile among them [m]; then of
+    its sd over the trials of a prototype the root mean square, the 5th percentile where cells do
+    not change from trial to trial, and the 95th where they change as much as they scatter [m].
+    """
     random, robot, spreads = np.random.default_rng(0), plant.robot, {}
     play = Published.CELL_SCATTER_RAD * random.normal(size=(Assumed.PROTOTYPES, 1, robot.cells))
     shapes = pulled_by_hand(plant, heights, 0, random)
@@ -181,13 +175,9 @@ def many_prototypes(plant: Plant, heights: Heights, comparison: Comparison) -> d
         errors = [np.linalg.norm(one - model.markers[0, -1], axis=2) for one in tips]
         means, sds = errors[1].mean(axis=1), [one.std(axis=1, ddof=1) for one in errors]
         low, high = np.percentile(means, [5.0, 95.0]).tolist()
-        spreads[model.name] = Spread(
-            mean=float(means.mean()),
-            low=low,
-            high=high,
-            sd=float(np.sqrt((sds[1] ** 2).mean())),
-            sd_range=(float(np.percentile(sds[0], 5)), float(np.percentile(sds[-1], 95))),
-        )
+        least, most = float(np.percentile(sds[0], 5)), float(np.percentile(sds[-1], 95))
+        sd = float(np.sqrt((sds[1] ** 2).mean()))
+        spreads[model.name] = (float(means.mean()), low, high), (sd, least, most)
     return spreads
 
 
@@ -209,14 +199,10 @@ def turned(positions: Floats, play: Floats) -> Floats:
         Turns in the x-z plane, towards +x.
 
     """
-    moved = np.array(positions, dtype=float)
-    joints = np.concatenate([np.zeros_like(moved[..., :1, :]), moved[..., :-1, :]], axis=-2)
-    for i in reversed(range(moved.shape[-2])):  # what lies nearer to the base is still in place
-        arms = moved[..., i:, :] - joints[..., i : i + 1, :]
-        c, s = np.cos(play[..., i, None]), np.sin(play[..., i, None])
-        moved[..., i:, 0] = joints[..., i, None, 0] + c * arms[..., 0] + s * arms[..., 2]
-        moved[..., i:, 2] = joints[..., i, None, 2] - s * arms[..., 0] + c * arms[..., 2]
-    return moved
+    cells = np.diff(positions, axis=-2, prepend=0.0)  # (..., n, 3) [m] from end to end
+    turns = np.cumsum(play, axis=-1)  # a cell turns with all that lie nearer to the base
+    cells[..., [2, 0]] = turned_in_plane(cells[..., [2, 0]], turns)
+    return np.cumsum(cells, axis=-2)
 
 
 class TensionExperiment:

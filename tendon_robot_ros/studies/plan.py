@@ -10,7 +10,7 @@ import hashlib
 import itertools
 import json
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Self
@@ -27,7 +27,7 @@ from ..model.versions import UserEffect, catalogue_of, differences, refuse_diffe
 from ..robot import dump_robot, load_robot
 from ..simulation.hidden import CAUSES, SCATTER_MAX
 from ..simulation.measurements import SimulatedNoise
-from .cases import NOTHING, Case, Design, PlannedRobot, needs
+from .cases import NOTHING, Case, Design, PlannedRobot
 from .judge import DIAGNOSIS, INTERVALS, QUESTIONS, CaseRow, Setup
 from .running import TABLE, GrowingTable, judge_all
 
@@ -92,7 +92,7 @@ class CampaignPlan:
         setup = self.setup
         digests = {'question': setup.question, 'seed': str(setup.seed)}
         for arm in setup.arms:
-            digests[f'robot {arm.name}'] = _digest(dump_robot(arm.robot), arm.down)
+            digests[f'robot {arm.robot.name}'] = _digest(dump_robot(arm.robot), arm.down)
         for i, one in enumerate(setup.designs):
             counts, data = (one.postures, one.trials, one.markers), one.data
             measured: list[object] = []
@@ -127,9 +127,8 @@ def plan_of(
     top.only(*KEYS)
     effects = UserEffect.read(effect_files)
     catalogue = catalogue_of(effects)
-    skipped: dict[str, list[str]] = {}
     setup = Setup(
-        arms=tuple(arms_of(top, folder, catalogue, skipped)),
+        arms=tuple(arms_of(top, folder, catalogue)),
         designs=tuple(designs_of(top, folder)) or (Design('12 postures'),),
         noises=tuple(noises_of(top)) or (('0.2 mm', SimulatedNoise()),),
         seed=top.count('seed', 0, high=2**32 - 1),
@@ -141,19 +140,18 @@ def plan_of(
             if design.data is not None and design.data.robot.inputs != arm.robot.inputs:
                 raise top.error(
                     f'designs[{i}].data',
-                    f'measurements of the inputs of {arm.name}, {", ".join(arm.robot.inputs)}',
+                    f'measurements of the inputs of {arm.robot.name}, '
+                    f'{", ".join(arm.robot.inputs)}',
                     ', '.join(design.data.robot.inputs),
                 )
-    cases = tuple(cases_of(top, setup, catalogue, skipped))
+    cases = tuple(cases_of(top, setup, catalogue))
     if not cases:
         raise top.error('seeds', 'at least one case: seeds of effects, or clean sets', 0)
     return CampaignPlan(setup, cases)
 
 
-def arms_of(
-    top: PlanReader, folder: Path, catalogue: Catalogue, skipped: dict[str, list[str]]
-) -> Iterator[PlannedRobot]:
-    """Yield the robots of a plan; note which effects each of them skips."""
+def arms_of(top: PlanReader, folder: Path, catalogue: Catalogue) -> Iterator[PlannedRobot]:
+    """Yield the robots of a plan."""
     value, names = top.content.get('robots'), []
     if not isinstance(value, list) or not value:
         raise top.error('robots', 'a list of robot descriptions', value)
@@ -167,8 +165,8 @@ def arms_of(
         robot = load_robot(folder / path)
         down = entry.vector('down', 3) if entry.has('down') else None
         names.append(robot.name)
-        skipped[robot.name] = entry.words('but', [*catalogue.names, *CAUSES], ())
-        yield PlannedRobot(robot.name, robot, down)
+        skips = entry.words('but', [*catalogue.names, *CAUSES], ())
+        yield PlannedRobot(robot, down, tuple(skips))
     top.unique('robots', names)
 
 
@@ -205,9 +203,7 @@ def noises_of(top: PlanReader) -> Iterator[tuple[str, SimulatedNoise]]:
     top.unique('noise', names)
 
 
-def cases_of(
-    top: PlanReader, setup: Setup, catalogue: Catalogue, skipped: Mapping[str, list[str]]
-) -> Iterator[Case]:
+def cases_of(top: PlanReader, setup: Setup, catalogue: Catalogue) -> Iterator[Case]:
     """List the cases, seeds outermost, so that early results cover all robots."""
     known = (ALL, ALL_CAUSES, *catalogue.names, *CAUSES)
     everywhere = tuple(effect.name for effect in catalogue if not effect.placed)
@@ -226,21 +222,17 @@ def cases_of(
     shared |= {key: top.flag(key) for key in ('exact', 'declared')}
     methods = list(itertools.product(range(len(setup.designs)), range(len(setup.noises)), levels))
     shown = {
-        arm.name: [
-            name
-            for name in hidden
-            if name not in skipped[arm.name] and can_show(name, arm, setup, catalogue)
-        ]
+        arm.robot.name: [name for name in hidden if can_show(name, arm, setup, catalogue)]
         for arm in setup.arms
     }
     for number in range(max(seeds, clean)):
-        for arm in setup.arms:
+        for robot, names in shown.items():
             what = [(NOTHING, 0.0)] if number < clean else []
-            for name in shown[arm.name] if number < seeds else ():
+            for name in names if number < seeds else ():
                 drawn = [1.0] if name in full else sizes(setup.seed, number, name)
                 what += [(name, size) for size in drawn]
             for (name, size), method in itertools.product(what, methods):
-                yield Case(arm.name, name, size, number, *method, **shared)
+                yield Case(robot, name, size, number, *method, **shared)
 
 
 def sizes_of(top: PlanReader) -> Callable[[int, int, str], list[float]]:
@@ -264,20 +256,20 @@ def sizes_of(top: PlanReader) -> Callable[[int, int, str], list[float]]:
 
 
 def can_show(name: str, arm: PlannedRobot, setup: Setup, catalogue: Catalogue) -> bool:
-    """Return whether an effect has any influence on the measurements of an arm."""
-    if name not in catalogue:
-        return True
+    """Return whether an effect is hidden in an arm, and influences its measurements."""
+    if name in arm.skips or name not in catalogue:
+        return name not in arm.skips
     robot, effect = arm.robot, catalogue[name]
     if effect.acts_on is not None and effect.acts_on not in robot.effects:
         return False
     if any(p.per_section for p in effect.parameters) and len(robot.sections) == 1:
         return not any(p.low < 0.0 for p in effect.parameters)  # the same as one of all sections
-    need, down = needs(name, catalogue), arm.down or robot.gravity
-    if need == 'gravity':
+    down = arm.down or robot.gravity
+    if effect.needs == 'gravity':
         return down is not None and any(down)
     measured = [d.data for d in setup.designs if d.data is not None]
     kinds = {'pulls': 'displacement', 'history': 'sequence'}
-    return all(kinds[one] in (d.input, d.path) for one in need.split() for d in measured)
+    return all(kinds[one] in (d.input, d.path) for one in effect.needs.split() for d in measured)
 
 
 def _digest(*parts: object) -> str:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -67,13 +68,12 @@ def run(args: argparse.Namespace) -> int:
     hidden = hidden_effects(args.hidden)
     work = Workmanship().times(args.level)
     plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=work)
-    arm = SimulatedArm(
-        plant, simulated_noise(args.noise), args.seed, args.input, args.path, args.lost
-    )
+    noise = simulated_noise(args.noise)
+    arm = SimulatedArm(plant, noise, args.seed, args.input, args.path, args.lost)
     folder = Path(args.output)
     narrate(args, f'hidden:  {", ".join(args.hidden) or "nothing"}')
     investigation = Investigation(
-        arm, goal, folder, regions, lambda news: narrate(args, news.text), args.resume
+        arm, goal, folder, regions, lambda kind, text, content: narrate(args, text), args.resume
     )
     findings = investigation.run()
     lines = write_results(findings, folder, investigation.catalogue, goal.add)
@@ -81,43 +81,28 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+@dataclass
 class SimulatedArm:
-    """
-    A `MeasurableArm` that is simulated, with the noise of a tracker and of load cells.
+    """A `MeasurableArm` that is simulated, with the noise of a tracker and of load cells."""
 
-    Parameters
-    ----------
-    plant : Plant
-    noise : SimulatedNoise, optional
-    seed : int
-        Of the noise.
-    input, path : str
-        As of a data set.
-    lost : float
-        Fraction of the measurements that break.
+    plant: Plant
+    noise: SimulatedNoise = field(default_factory=SimulatedNoise)
+    seed: int = 0  # of the noise
+    input: str = 'tension'  # as of a data set
+    path: str = 'from_straight'  # as of a data set
+    lost: float = 0.0  # [1] of the measurements that break
+    # inputs (m,) of all measurements, broken ones included
+    visited: list[Floats] = field(default_factory=list)
+    released: int = 0
 
-    """
-
-    def __init__(
-        self,
-        plant: Plant,
-        noise: SimulatedNoise | None = None,
-        seed: int = 0,
-        input: str = 'tension',
-        path: str = 'from_straight',
-        lost: float = 0.0,
-    ) -> None:
+    def __post_init__(self) -> None:
         """Stand straight."""
-        self.plant, self.noise, self.lost = plant, noise or SimulatedNoise(), lost
-        self.input, self.path = input, path
-        self.robot: Robot = plant.robot  # the owner's description
-        self.markers: Sequence[Marker] = default_markers(plant.robot)
+        self.robot: Robot = self.plant.robot  # the owner's description
+        self.markers: Sequence[Marker] = default_markers(self.robot)
         self.input_noise = self.noise.setting, self.noise.trial
-        self.visited: list[Floats] = []  # inputs (m,) of all measurements, broken ones included
         # a posture of a sequence has as many readings as others have trials
-        self.readings = TRIALS_ADVISED if path == 'sequence' else 1
-        self.released = 0
-        self._random = np.random.default_rng(seed)
+        self.readings = TRIALS_ADVISED if self.path == 'sequence' else 1
+        self._random = np.random.default_rng(self.seed)
 
     @property
     def position_noise(self) -> float:

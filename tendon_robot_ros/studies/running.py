@@ -181,12 +181,9 @@ class GrowingTable[R: Row]:
         """
         rows: dict[str, R] = {}
         for path in self.files():
-            for plain in self._read(path).to_pylist():
-                values: dict[str, Any] = {
-                    name: tuple(value) if isinstance(value, list) else value
-                    for name, value in plain.items()
-                }
-                rows[plain['key']] = self.kind(**values)
+            for row in self._read(path).to_pylist():
+                lists = {name: tuple(one) for name, one in row.items() if isinstance(one, list)}
+                rows[row['key']] = self.kind(**(row | lists))
         return list(rows.values())
 
     def rows_of(self, cases: Sequence[Keyed]) -> list[R]:

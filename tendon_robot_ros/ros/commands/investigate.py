@@ -39,7 +39,7 @@ from ...data.folder import read_markers
 from ...drivers.safety import CYCLE_MAX_S
 from ...investigation.goal import add_goal, goal_of
 from ...investigation.loop import Findings, Investigation, write_results
-from ...investigation.measuring import BETTER, BrokenMeasurementError, News, PostureMeasured
+from ...investigation.measuring import BETTER, BrokenMeasurementError, PostureMeasured
 from ...model.model import Model
 from ...monitoring import History, MonitorSettings, StillMeasurement
 from ...monitoring.change import ChangeFinder
@@ -375,7 +375,7 @@ class Investigator:
                 self.once(folder, False)
             except TendonRobotError as error:
                 self.arm.stop_requested = False
-                self.publish_news(News('failed', ' '.join(str(error).split())))
+                self.publish_news('failed', ' '.join(str(error).split()), {})
 
     def once(self, folder: Path, resume: bool) -> Findings:
         """Investigate, write the results, and send the controller the better description."""
@@ -396,18 +396,17 @@ class Investigator:
                 better = str((folder / BETTER).resolve())
                 accepted, reason = self.arm.put('model', better, 2.0 * REACTION_TIMEOUT_S)
                 answer = 'uses it' if accepted else f'refuses it: {reason}'
-                self.publish_news(News('sent', f'the controller {answer}', {'taken': accepted}))
+                self.publish_news('sent', f'the controller {answer}', {'taken': accepted})
             return findings
         finally:
             self._busy = False
             self._tour.publish(Bool(data=True))
             self._publish_status()
 
-    def publish_news(self, news: News) -> None:
+    def publish_news(self, kind: str, text: str, content: dict[str, Any]) -> None:
         """Print and publish progress."""
-        narrate(self.args, news.text)
-        content: dict[str, Any] = {'kind': news.kind, 'text': news.text, **news.content}
-        self._progress.publish(String(data=json.dumps(content)))
+        narrate(self.args, text)
+        self._progress.publish(String(data=json.dumps({'kind': kind, 'text': text, **content})))
 
     def _publish_status(self) -> None:
         """Publish the status."""
