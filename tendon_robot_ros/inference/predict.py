@@ -17,8 +17,8 @@ from ..effects import Catalogue, Effect, Parameter
 from ..model.derivatives import (
     DIFFERENCE_STEP,
     Move,
-    PathSlopes,
     follow,
+    path_near,
     tensions_by_pulls,
 )
 from ..model.forward import TOLERANCE
@@ -111,7 +111,7 @@ def held(tensions: Floats, rows: Floats, states: Floats, q: int) -> tuple[Floats
     )
 
 
-PATH_STAGES = {'hysteresis', 'transmission'}  # whose derivatives `PathSlopes` follows
+PATH_STAGES = {'hysteresis', 'transmission'}  # that `derivatives.path_near` follows
 # No effects: every cell's own deviation where a tolerance declares it, one soft cell, a taper.
 CELLS, SOFT_CELL, TAPER = 'cell_stiffness', 'soft_cell', 'taper'
 STIFFNESS = (SOFT_CELL, TAPER)
@@ -361,22 +361,22 @@ class Predictor:
         """
         Return a function that predicts markers (P, J, 3) [m] of a sequence near a point.
 
-        To first order, at the cost of one step for every posture; see `PathSlopes`. Postures that
-        only lie on the way are not shown.
+        To first order, at the cost of one step for every posture (`derivatives.path_near`).
+        Postures that only lie on the way are not shown.
         """
-        slopes, by_pulls = [], self.dataset.input == 'displacement'
+        paths, by_pulls = [], self.dataset.input == 'displacement'
         settled = self._on_the_way(point, settled)
         for part in self.parts:
             self.set_parameters(point, part)
             start = settled.of(part.rows)
-            slopes.append(PathSlopes.of(self.model, start.tensions, start.state, by_pulls))
+            paths.append(path_near(self.model, start.tensions, start.state, by_pulls))
 
         def near(moved: Point) -> tuple[Floats, SettledShapes]:
             placed = np.zeros((len(self.inputs), len(self.dataset.markers), 3))
             then = SettledShapes(np.empty_like(settled.tensions), np.empty_like(settled.state))
-            for part, path in zip(self.parts, slopes, strict=True):
+            for part, path in zip(self.parts, paths, strict=True):
                 self.set_parameters(moved, part)
-                along = path.shapes(self.given(self.inputs)[part.rows])
+                along = path(self.given(self.inputs)[part.rows])
                 seen = self._shown[part.rows]
                 placed[part.rows[seen]] = self.see(along.of(seen))
                 then.tensions[part.rows], then.state[part.rows] = along.inputs, along.state
