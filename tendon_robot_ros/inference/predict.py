@@ -293,14 +293,14 @@ class Predictor:
         if self.carries or (stages & PATH_STAGES and self.dataset.path != 'from_straight'):
             return None if self.visits is not None else self._path_tangent(point, frees, settled)
 
-        def moves(part: Conditions, count: int) -> list[Move]:
-            return [self.moved(point, part, free, count) for free in frees]
+        def moves(part: Conditions) -> list[Move]:
+            return [self.moved(point, part, free) for free in frees]
 
         return self.tangent_by(moves, point, settled)
 
     def tangent_by(
         self,
-        moves_of: Callable[[Conditions, int], list[Move]],
+        moves_of: Callable[[Conditions], list[Move]],
         point: Point,
         settled: SettledShapes,
     ) -> Tangent:
@@ -310,7 +310,7 @@ class Predictor:
             self.set_parameters(point, part)
             rows = self.predicted(part).rows
             start, count = settled.of(rows), len(rows)
-            moves = moves_of(part, count)
+            moves = moves_of(part)
             q, m = len(moves), start.tensions.shape[1]
             if by_pulls:
                 moves += [Move.of_tension(j, start.tensions) for j in range(m)]
@@ -415,18 +415,18 @@ class Predictor:
         step = DIFFERENCE_STEP * max(abs(value), own.typical)
         return max(-step, own.low - value), min(step, own.high - value)
 
-    def moved(self, point: Point, part: Conditions, free: FreeParameter, count: int) -> Move:
+    def moved(self, point: Point, part: Conditions, free: FreeParameter) -> Move:
         """Return the move of a parameter about a point; the model is set to the point."""
         value, own = point.get(free, self.value(free)), free.parameter
         ends = self._ends(point, free)
         if self.is_effect(free) and (free.effect, own.name) not in part.known:
             columns = self.columns(free)
-            return Move.of_parameter(self.model, count, free.effect, own.name, columns, ends)
+            return Move.of_parameter(self.model, free.effect, own.name, columns, ends)
 
         def set_to(side: float) -> None:
             self.set_parameters({**point, free: value + side}, part)
 
-        return Move.by(self.model, count, ends, set_to)
+        return Move.by(self.model, ends, set_to)
 
     def columns(self, free: FreeParameter) -> slice:
         """Return the columns of the sections or tendons that a free parameter belongs to."""

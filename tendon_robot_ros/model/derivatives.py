@@ -225,8 +225,8 @@ class Entries:
 class Move:
     """One quantity that moves: how far up and down, and what a model and its inputs are then."""
 
-    up: Floats  # (b,)
-    down: Floats  # (b,)
+    up: Floats | float  # of every posture (b,), or of all alike
+    down: Floats | float
     entries: tuple[Entries, ...] = ()
     effect: str = ''  # that acts meanwhile; '': none beside those that do
     tensions: Floats | None = None  # (2, b, m) [N] up and down; None: they stay
@@ -244,28 +244,18 @@ class Move:
 
     @classmethod
     def of_parameter(
-        cls,
-        model: ForwardModel,
-        count: int,
-        effect: str,
-        name: str,
-        columns: Any,
-        ends: tuple[float, float],
+        cls, model: ForwardModel, effect: str, name: str, columns: Any, ends: tuple[float, float]
     ) -> Move:
         """Move a parameter of an effect, in some of its columns, to both ends (down, up)."""
         arrays, (low, high) = model.arrays, ends
         which = arrays.layout.rows[effect, name], columns
         entries = Entries.shifted(arrays.values, which, (high, low))
         beside = model.catalogue[effect].stage in STAGES_BESIDE
-        return cls(np.full(count, high), np.full(count, low), (entries,), effect, beside=beside)
+        return cls(high, low, (entries,), effect, beside=beside)
 
     @classmethod
     def by(
-        cls,
-        model: ForwardModel,
-        count: int,
-        ends: tuple[float, float],
-        set_to: Callable[[float], None],
+        cls, model: ForwardModel, ends: tuple[float, float], set_to: Callable[[float], None]
     ) -> Move:
         """Move what a function changes in the model's arrays, to both ends (down, up) and to 0."""
         arrays = model.arrays
@@ -278,8 +268,7 @@ class Move:
         for array, low, high, now in zip(every, *kept, strict=True):
             index = np.flatnonzero((low != now) | (high != now))
             entries.append(Entries(array, index, high[index], low[index]))
-        low, high = ends
-        return cls(np.full(count, high), np.full(count, low), tuple(entries))
+        return cls(ends[1], ends[0], tuple(entries))
 
     @contextmanager
     def applied(self, model: ForwardModel, up: bool) -> Iterator[None]:
@@ -373,7 +362,9 @@ def follow(
     """
     arrays, b = model.arrays, len(inputs)
     past = arrays.fresh_memory() if memory is None else memory
-    sides = np.array([(move.up, move.down) for move in moves]).reshape(-1, 2, b)
+    sides = np.empty((len(moves), 2, b))
+    for own, move in zip(sides, moves, strict=True):
+        own[0], own[1] = move.up, move.down
     widths = sides[:, 0] - sides[:, 1]
     at_once = max(SHOWN_AT_ONCE // (2 * b), 1)
     places = [slice(begin, begin + at_once) for begin in range(0, len(moves), at_once)]
@@ -415,7 +406,7 @@ def _per_unit(model: ForwardModel, move: Move, value_at: Callable[[bool], Floats
     for up in (True, False):
         with move.applied(model, up):
             ends.append(value_at(up))
-    return np.asarray((ends[0] - ends[1]) / _like(move.up - move.down, ends[0]))
+    return np.asarray((ends[0] - ends[1]) / _like(np.asarray(move.up - move.down), ends[0]))
 
 
 def move_of(model: ForwardModel, shapes: ShapeBatch, column: Column) -> Move:
@@ -436,7 +427,7 @@ def move_of(model: ForwardModel, shapes: ShapeBatch, column: Column) -> Move:
     low, high = min(parameter.low, value), max(parameter.high, value)
     ends = max(-step, low - value), min(step, high - value)
     columns = slice(None) if section is None else section
-    return Move.of_parameter(model, len(shapes), effect, name, columns, ends)
+    return Move.of_parameter(model, effect, name, columns, ends)
 
 
 def responses(
