@@ -40,7 +40,6 @@ LEAST_TENSION_N = 1e-6
 # [m] gap of a wire that ends a search, because friction near rest changes sign within 2e-6
 GAP_ACCEPTED_M = 5e-6
 KERNEL = Path(__file__).parent / 'kernel'
-_COMPOSED: dict[str, ModuleType] = {}
 
 
 class Layout:
@@ -150,7 +149,7 @@ def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:
     """
     key = kernel_key(catalogue)
     name = f'tendon_robot_kernel_{key}'
-    if name not in _COMPOSED:
+    if name not in sys.modules:
         load_numba()
         folder = cache_folder() / name
         if not (folder / 'stages.py').is_file():
@@ -170,7 +169,6 @@ def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module
         spec.loader.exec_module(module)
-        _COMPOSED[name] = module
     return cache(lambda part: importlib.import_module(f'{name}.{part}'))
 
 
@@ -342,11 +340,9 @@ class KernelArrays:
                 raise RobotDescriptionError(robot.source, where, 'one of ' + ', '.join(known), key)
             parameter = known[key]
             numbers = value if isinstance(value, tuple) else (value,)
-            if isinstance(value, tuple) and len(value) != len(self.columns(parameter)):
-                expected = 'one number'
-                if parameter.per:
-                    count = len(self.columns(parameter))
-                    expected = f'{count} numbers (one per {parameter.per})'
+            count, per = len(self.columns(parameter)), parameter.per
+            if isinstance(value, tuple) and len(value) != count:
+                expected = f'{count} numbers (one per {per})' if per else 'one number'
                 raise RobotDescriptionError(robot.source, where, expected, list(value))
             low, high = parameter.described_bounds
             for number in numbers:
@@ -402,21 +398,14 @@ class KernelArrays:
 
     def scratch(self) -> Floats:
         """Return scratch memory for one thread."""
-        lay, chain = self.part('layout'), self.chain
-        scratch = np.zeros(
-            lay.work_size(chain.n, chain.k)
-            + 3 * chain.n
-            + lay.memory_size(chain.n, chain.k, chain.m)
-            + chain.k
-            + chain.m
-        )
-        lay.lay_out_work(chain.n, chain.k, scratch)
+        lay, (n, k, m) = self.part('layout'), self.chain[:3]
+        scratch = np.zeros(lay.work_size(n, k) + lay.memory_size(n, k, m) + 3 * n + k + m)
+        lay.lay_out_work(n, k, scratch)
         return scratch
 
     def fresh_memory(self) -> Floats:
         """Return the friction memory of the straight, tension-free arm."""
-        chain = self.chain
-        return np.zeros(self.part('layout').memory_size(chain.n, chain.k, chain.m))
+        return np.zeros(self.part('layout').memory_size(*self.chain[:3]))
 
 
 def cell_rows(robot: Robot) -> Floats:

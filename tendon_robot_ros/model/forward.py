@@ -293,11 +293,10 @@ class ForwardModel:
     def scratch(self) -> int:
         """Address of this thread's scratch memory."""
         own = self._own
-        try:
-            address: int = own.address
-        except AttributeError:
+        if not hasattr(own, 'address'):
             own.memory = self.arrays.scratch()
-            own.address = address = own.memory.ctypes.data
+            own.address = own.memory.ctypes.data
+        address: int = own.address
         return address
 
     def measured(self, points: Floats) -> Floats:

@@ -148,14 +148,8 @@ class _Search:
         for count, start in enumerate(starts_of(task, self.policy, self.report is not None)):
             trial = self._from(start)
             worth = self._worth(trial)
-            converged = self._converged(trial) and not (
-                self.previous is not None and self._jumps(self.previous.inputs, trial.inputs)
-            )
-            jumps = (
-                best is not None
-                and task.guess is not None
-                and self._jumps(best.inputs, trial.inputs)
-            )
+            converged = self._converged(trial) and not self._jumps(self.previous, trial)
+            jumps = task.guess is not None and self._jumps(best, trial)
             fraction = WORTHWHILE_MAX if jumps and not converged else 1.0
             if best is None or worth < fraction * lowest_worth:
                 best, lowest_worth = trial, worth
@@ -171,12 +165,8 @@ class _Search:
                 remembers and count == 0 and trial.cost < TOLERANCE_COST_M2
             )
             # the start after the first search is a first move of the arm, and takes no time
-            must_find_first_move = (
-                sticks
-                and count <= 1
-                and self.report is not None
-                and last_reported == cost_at_guess
-            )
+            unmoved = self.report is not None and last_reported == cost_at_guess
+            must_find_first_move = sticks and count <= 1 and unmoved
             if converged or good_enough or (self.give_up() and not must_find_first_move):
                 break
         assert best is not None
@@ -238,10 +228,11 @@ class _Search:
             cost += 0.5 * weight**2 * float(change @ change)
         return cost
 
-    def _jumps(self, before: Floats, inputs: Floats) -> bool:
-        """Tell whether tensions (m,) [N] are far from those before."""
+    def _jumps(self, before: TriedTensions | Shape | None, trial: TriedTensions) -> bool:
+        """Tell whether tensions are far from those before, if there are any."""
         low, high = self.model.limits.T
-        return bool(np.any(np.abs(inputs - before) > JUMP_MAX * (high - low)))
+        far = JUMP_MAX * (high - low)
+        return before is not None and bool(np.any(np.abs(trial.inputs - before.inputs) > far))
 
     def _priced(self, best: TriedTensions, start: TriedTensions) -> TriedTensions:
         """

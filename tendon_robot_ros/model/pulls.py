@@ -48,10 +48,7 @@ def pull_shape(
 
     """
     commanded = wire_pulls(model.robot, pulls)
-    past = model.arrays.fresh_memory() if memory is None else memory
-    if not model.transmission_remembers:
-        return held_shape(model, commanded, guess, past)
-    past = past.copy()
+    past = model.arrays.fresh_memory() if memory is None else memory.copy()
     passed = transmitted(model, commanded[None], past)[0]
     shape = held_shape(model, passed, guess, past)
     shape.pulls[:] += np.nan_to_num(commanded - passed)
