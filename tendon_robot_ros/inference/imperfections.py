@@ -383,9 +383,7 @@ def forces_along(
     return slopes.reshape(-1, 3, *slopes.shape[1:])
 
 
-def _slopes(
-    split: Predictor, point: Point, moves: Callable[[Conditions], list[Move]]
-) -> Floats:
+def _slopes(split: Predictor, point: Point, moves: Callable[[Conditions], list[Move]]) -> Floats:
     """Return derivatives (q, P, J, 3) of the markers at the settled postures, by moves."""
     assert split.settled is not None
     return split.tangent_by(moves, point, split.settled).markers

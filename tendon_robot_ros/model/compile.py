@@ -18,8 +18,8 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import EffectError, RobotDescriptionError
 from ..common.files import cache_folder
 from ..common.processes import child_environment
@@ -29,7 +29,6 @@ from ..robot import Robot
 from ..robot.description import helix_angles, tendon_offsets
 from ..robot.estimates import stiffnesses
 
-Floats = npt.NDArray[np.float64]
 # [rad] largest change of a bend at which an equilibrium has converged, so that the tip of an arm
 # of 100 cells and 1 m is within 10 nm
 BEND_TOLERANCE = 1e-10

@@ -13,7 +13,7 @@ from ..common.estimation import ITERATIONS_MAX
 from ..common.words import FAR_M
 from ..robot.inputs import TensionsLike, input_rows, wire_pulls
 from .compile import GAP_ACCEPTED_M
-from .shape import ShapeBatch, WireSlopes
+from .shape import ShapeBatch, WireSlopes, named_values
 
 if TYPE_CHECKING:
     from .forward import ForwardModel
@@ -170,11 +170,7 @@ def _met(
         return inputs, states
     if not np.isfinite(gaps[met]):
         raise NoEquilibriumError('these wire pulls', model.implicit_effects, gaps[met])
-    named = ', '.join(
-        f'{name} {1e3 * value:g} mm'
-        for name, value in zip(model.inputs, targets[met], strict=True)
-        if np.isfinite(value)
-    )
+    named = named_values(model.inputs, 1e3 * targets[met], 'mm')
     raise InputError(
         f'pulls: no tensions give {named} together (off by {1e3 * gaps[met]:.2g} mm); '
         'release one of the wires'

@@ -152,7 +152,7 @@ def _kernel_arguments(task: TipTask, start: TriedTensions, limits: Floats) -> tu
     return *problem, until, task.past, model.scratch
 
 
-def aim_by_pulls(task: TipTask, aim: Aim, start: TriedTensions) -> TriedTensions:
+def aim_by_pulls(task: TipTask, search: Aim, start: TriedTensions) -> TriedTensions:
     """
     Improve tensions among those that wire lengths can hold; the cost is infinite if none are held.
 
@@ -163,7 +163,7 @@ def aim_by_pulls(task: TipTask, aim: Aim, start: TriedTensions) -> TriedTensions
     taut, tried = start.inputs > LEAST_TENSION_N, start
     for _ in range(len(taut)):
         limits = task.limits * taut[:, None]
-        tried = aim(replace(tried, inputs=np.clip(tried.inputs, *limits.T)), limits)
+        tried = search(replace(tried, inputs=np.clip(tried.inputs, *limits.T)), limits)
         if not np.isfinite(tried.cost):
             break
         try:
