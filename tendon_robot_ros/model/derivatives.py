@@ -510,6 +510,7 @@ def tip_stiffness(model: ForwardModel, shape: Shape, wires_held: bool = False) -
         Slack wires hold nothing.
 
     """
+    shape = model.own_shape('shape', shape)
     taut = [
         name for name, t in zip(model.inputs, shape.inputs, strict=True) if t > LEAST_TENSION_N
     ]
