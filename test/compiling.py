@@ -17,7 +17,7 @@ from source_tree import ROOT
 from tendon_robot_ros.control.loading import compiled_mark, load
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.compile import is_compiled
-from tendon_robot_ros.model.derivatives import PathSlopes
+from tendon_robot_ros.model.derivatives import path_near
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import plant_catalogue
@@ -37,7 +37,7 @@ def compile_model():
     turned = Model(robot().with_effect('base_misalignment', TURNED), catalogue)
     turned.jacobian(TENSIONS)
     shapes = turned.shapes([TENSIONS])
-    PathSlopes.of(turned, shapes.inputs, shapes.state, False).shapes(shapes.inputs)
+    path_near(turned, shapes.inputs, shapes.state, False)(shapes.inputs)
 
 
 def compile_plant():

@@ -9,7 +9,7 @@ from arms import misses, spatial, two_sections
 from reference import Reference
 
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.model.derivatives import PathSlopes
+from tendon_robot_ros.model.derivatives import path_near
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import command, pull_shapes, transmitted
 from tendon_robot_ros.robot import load_robot
@@ -100,11 +100,11 @@ def test_derivatives_along_a_path_are_those_of_differences(robot, more):
         return pull_shapes(model, pulls, *start, memory=model.arrays.fresh_memory())
 
     base = solved()
-    path = PathSlopes.of(model, base.inputs, base.state, True)
-    assert np.allclose(path.shapes(pulls).positions, base.positions, rtol=0, atol=1e-8)
+    path = path_near(model, base.inputs, base.state, True)
+    assert np.allclose(path(pulls).positions, base.positions, rtol=0, atol=1e-8)
     moved = [('backlash', 'width', 1e-7), ('pull_zero', 'offset', 1e-7)]
     moved += [('backbone_stiffness', 'relative_change', 1e-4)]
-    for error, size in misses(model, moved, lambda: path.shapes(pulls), lambda: solved(base)):
+    for error, size in misses(model, moved, lambda: path(pulls), lambda: solved(base)):
         assert error < 2e-3 * size + 1e-9
 
 

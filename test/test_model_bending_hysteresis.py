@@ -11,7 +11,7 @@ from arms import COARSE, misses, planar, spatial, two_sections
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.model.derivatives import PathSlopes
+from tendon_robot_ros.model.derivatives import path_near
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
 from tendon_robot_ros.report.comparison import comparison_page
@@ -95,12 +95,12 @@ def test_derivatives_along_a_path_are_those_of_differences(robot, by_pulls):
             return pull_shapes(model, commanded, base.inputs, base.state, fresh)
         return model.sequence(commanded)
 
-    path = PathSlopes.of(model, base.inputs, base.state, by_pulls)
-    assert np.allclose(path.shapes(commanded).positions, base.positions, rtol=0, atol=1e-9)
+    path = path_near(model, base.inputs, base.state, by_pulls)
+    assert np.allclose(path(commanded).positions, base.positions, rtol=0, atol=1e-9)
     moved = [('bending_hysteresis', 'lag', 1e-5), ('bending_hysteresis', 'presliding', 1e-3)]
     moved += [('contact', 'friction_coefficient', 1e-4), ('contact', 'distance', 1e-8)]
     moved += [('backbone_stiffness', 'relative_change', 1e-4), ('tip_load', 'force_y', 1e-6)]
-    for error, size in misses(model, moved, lambda: path.shapes(commanded), solved):
+    for error, size in misses(model, moved, lambda: path(commanded), solved):
         assert error < 1e-3 * size + 1e-9
 
 

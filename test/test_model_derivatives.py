@@ -31,8 +31,8 @@ def unknowns(model):
 
 def residuals(model, inputs, states):
     """States (b, 3n) minus what their moments ask for, (b, 3n) [rad]."""
-    plain = derivatives.Variants.of(model, inputs, [])
-    return plain.at(model, states, model.arrays.fresh_memory())[0][0]
+    plain = derivatives.variants(model, inputs, [])
+    return derivatives.off_balance(model, *plain, states, model.arrays.fresh_memory())[0][0]
 
 
 @pytest.mark.parametrize('bends_as', ['arc', 'hinge'])
@@ -75,9 +75,8 @@ def test_a_row_of_residuals_is_as_wide_as_a_state_whatever_acts(spatially):
         model.arrays.link()
         held = np.full((b + 2, 3 * n), 7.0)  # a row before and behind
         past, part = model.arrays.fresh_memory(), model.arrays.part('shape')
-        plain = derivatives.Variants.of(model, inputs, [])
+        _, changes = derivatives.variants(model, inputs, [])
         block, _, _ = model.form.filled(inputs, states)
-        changes = plain.acting, plain.starts, plain.places, plain.values
         part.variants(model.arrays.address, block, past, model.scratch, *changes, held[1:-1], 0)
         assert (held[[0, -1]] == 7.0).all()
         rows.append(held[1:-1])

@@ -190,14 +190,13 @@ class SplitPredictor(Predictor):
         kinks[:, 1 - axis] = off.get(ACROSS, 0.0)
         return kinks
 
-    def member(self, name: str, i: int, part: Conditions, count: int) -> Move:
+    def member(self, name: str, i: int, part: Conditions) -> Move:
         """Return the move of member i of a kind of `around`; the model is set to a point."""
-        arrays, own, sides = self.model.arrays, self.around[name], (STEP, -STEP)
-        up, down, axis = np.full(count, STEP), np.full(count, -STEP), self.axis
+        arrays, own, axis, sides = self.model.arrays, self.around[name], self.axis, (STEP, -STEP)
         if name in (KINK, ACROSS):
             cell, xy = divmod(i, 2) if axis is None else (i, axis if name == KINK else 1 - axis)
             entries = Entries.shifted(arrays.values, (self.rests[xy], cell), sides)
-            return Move(up, down, (entries,), REST)
+            return Move(*sides, (entries,), REST)
         if name in (CELLS, HOLE):
             own_places = {
                 CELLS: (arrays.cells, np.s_[i : i + 1, 1:2]),
@@ -205,15 +204,15 @@ class SplitPredictor(Predictor):
             }
             array, which = own_places[name]
             entries = Entries.shifted(array, which, sides, array[which] / (1.0 + own[i]))
-            return Move(up, down, (entries,))
-        move = Move(up, down, (Entries.shifted(own, [i], sides),), beside=True)
+            return Move(*sides, (entries,))
+        move = Move(*sides, (Entries.shifted(own, [i], sides),), beside=True)
         if name != GAIN or self.dataset.input != 'tension':
             return move
         rows, tensions = self.predicted(part).rows, list[Floats]()
         for side in (True, False):
             with move.applied(self.model, side):
                 tensions.append(self.given(self.inputs)[rows])
-        return Move(up, down, tensions=np.array(tensions))
+        return Move(*sides, tensions=np.array(tensions))
 
     def given(self, inputs: Floats) -> Floats:
         """Return the inputs (P, m) [N] or [m] that reach the arm."""
@@ -267,7 +266,7 @@ def member_moves(split: SplitPredictor, point: Point, kinds: Sequence[Kind]) -> 
         return _differences(split, point, named)
     split.around = {k.name: np.zeros(len(k)) + split.around.get(k.name, 0.0) for k in kinds}
     return _slopes(
-        split, point, lambda part, b: [split.member(name, i, part, b) for name, i, _ in named]
+        split, point, lambda part: [split.member(name, i, part) for name, i, _ in named]
     )
 
 
@@ -299,22 +298,20 @@ def forces_along(
     first = arrays.layout.rows[effect, 'arc_length']  # the components of the force follow
     place_row, *force_rows = np.repeat(np.eye(4), arrays.values.shape[1], axis=1)
 
-    def moves(part: Conditions, count: int) -> list[Move]:
-        up, which = np.full(count, step), np.s_[first : first + 4]
+    def moves(part: Conditions) -> list[Move]:
+        which = np.s_[first : first + 4]
         entries = [
             Entries.shifted(arrays.values, which, (step, -step), row, about=place * place_row)
             for place in arc_lengths
             for row in force_rows
         ]
-        return [Move(up, -up, (one,), effect) for one in entries]
+        return [Move(step, -step, (one,), effect) for one in entries]
 
     slopes = _slopes(predictor, point, moves)
     return slopes.reshape(-1, 3, *slopes.shape[1:])
 
 
-def _slopes(
-    split: Predictor, point: Point, moves: Callable[[Conditions, int], list[Move]]
-) -> Floats:
+def _slopes(split: Predictor, point: Point, moves: Callable[[Conditions], list[Move]]) -> Floats:
     """Return derivatives (q, P, J, 3) of the markers at the settled postures, by moves."""
     assert split.settled is not None
     return split.tangent_by(moves, point, split.settled).markers

@@ -14,7 +14,7 @@ from ..common.errors import EffectError, TendonRobotError
 from ..data import DataSet, Part
 from ..data.visits import Visits
 from ..effects import Catalogue, Effect, Parameter
-from ..model.derivatives import DIFFERENCE_STEP, Move, PathSlopes, follow, tensions_by_pulls
+from ..model.derivatives import DIFFERENCE_STEP, Move, follow, path_near, tensions_by_pulls
 from ..model.forward import TOLERANCE
 from ..model.model import Model
 from ..model.pulls import pull_shapes, transmitted, unknown_slopes
@@ -105,7 +105,7 @@ def held(tensions: Floats, rows: Floats, states: Floats, q: int) -> tuple[Floats
     )
 
 
-PATH_STAGES = {'hysteresis', 'transmission'}  # whose derivatives `PathSlopes` follows
+PATH_STAGES = {'hysteresis', 'transmission'}  # that `derivatives.path_near` follows
 # No effects: every cell's own deviation where a tolerance declares it, one soft cell, a taper.
 CELLS, SOFT_CELL, TAPER = 'cell_stiffness', 'soft_cell', 'taper'
 STIFFNESS = (SOFT_CELL, TAPER)
@@ -282,14 +282,14 @@ class Predictor:
         if self.carries or (stages & PATH_STAGES and self.dataset.path != 'from_straight'):
             return None if self.visits is not None else self._path_tangent(point, frees, settled)
 
-        def moves(part: Conditions, count: int) -> list[Move]:
-            return [self.moved(point, part, free, count) for free in frees]
+        def moves(part: Conditions) -> list[Move]:
+            return [self.moved(point, part, free) for free in frees]
 
         return self.tangent_by(moves, point, settled)
 
     def tangent_by(
         self,
-        moves_of: Callable[[Conditions, int], list[Move]],
+        moves_of: Callable[[Conditions], list[Move]],
         point: Point,
         settled: SettledShapes,
     ) -> Tangent:
@@ -299,7 +299,7 @@ class Predictor:
             self.set_parameters(point, part)
             rows = self.predicted(part).rows
             start, count = settled.of(rows), len(rows)
-            moves = moves_of(part, count)
+            moves = moves_of(part)
             q, m = len(moves), start.tensions.shape[1]
             if by_pulls:
                 moves += [Move.of_tension(j, start.tensions) for j in range(m)]
@@ -350,22 +350,22 @@ class Predictor:
         """
         Return a function that predicts markers (P, J, 3) [m] of a sequence near a point.
 
-        To first order, at the cost of one step for every posture; see `PathSlopes`. Postures that
-        only lie on the way are not shown.
+        To first order, at the cost of one step for every posture (`derivatives.path_near`).
+        Postures that only lie on the way are not shown.
         """
-        slopes, by_pulls = [], self.dataset.input == 'displacement'
+        paths, by_pulls = [], self.dataset.input == 'displacement'
         settled = self._on_the_way(point, settled)
         for part in self.parts:
             self.set_parameters(point, part)
             start = settled.of(part.rows)
-            slopes.append(PathSlopes.of(self.model, start.tensions, start.state, by_pulls))
+            paths.append(path_near(self.model, start.tensions, start.state, by_pulls))
 
         def near(moved: Point) -> tuple[Floats, SettledShapes]:
             placed = np.zeros((len(self.inputs), len(self.dataset.markers), 3))
             then = SettledShapes(np.empty_like(settled.tensions), np.empty_like(settled.state))
-            for part, path in zip(self.parts, slopes, strict=True):
+            for part, path in zip(self.parts, paths, strict=True):
                 self.set_parameters(moved, part)
-                along = path.shapes(self.given(self.inputs)[part.rows])
+                along = path(self.given(self.inputs)[part.rows])
                 seen = self._shown[part.rows]
                 placed[part.rows[seen]] = self.see(along.of(seen))
                 then.tensions[part.rows], then.state[part.rows] = along.inputs, along.state
@@ -401,18 +401,17 @@ class Predictor:
         step = DIFFERENCE_STEP * max(abs(value), own.typical)
         return max(-step, own.low - value), min(step, own.high - value)
 
-    def moved(self, point: Point, part: Conditions, free: FreeParameter, count: int) -> Move:
+    def moved(self, point: Point, part: Conditions, free: FreeParameter) -> Move:
         """Return the move of a parameter about a point; the model is set to the point."""
         value, own = point.get(free, self.value(free)), free.parameter
         ends = self._ends(point, free)
         if self.is_effect(free) and (free.effect, own.name) not in part.known:
-            columns = self.model.arrays.columns(free.effect, own.name, free.column)
-            return Move.of_parameter(self.model, count, free.effect, own.name, columns, ends)
+            return Move.of_parameter(self.model, free.effect, own.name, free.column, ends)
 
         def set_to(side: float) -> None:
             self.set_parameters({**point, free: value + side}, part)
 
-        return Move.by(self.model, count, ends, set_to)
+        return Move.by(self.model, ends, set_to)
 
     def unsettled(self, point: Point | None = None) -> tuple[str, ...]:
         """Name the postures without an equilibrium (as described), each loaded from straight."""

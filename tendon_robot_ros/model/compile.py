@@ -18,8 +18,8 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import Floats
 from ..common.errors import EffectError, RobotDescriptionError
 from ..common.files import cache_folder
 from ..common.processes import child_environment
@@ -29,7 +29,6 @@ from ..robot import Robot
 from ..robot.description import helix_angles, tendon_offsets
 from ..robot.estimates import stiffnesses
 
-Floats = npt.NDArray[np.float64]
 # [rad] largest change of a bend at which an equilibrium has converged, so that the tip of an arm
 # of 100 cells and 1 m is within 10 nm
 BEND_TOLERANCE = 1e-10
@@ -40,7 +39,6 @@ LEAST_TENSION_N = 1e-6
 # [m] gap of a wire that ends a search, because friction near rest changes sign within 2e-6
 GAP_ACCEPTED_M = 5e-6
 KERNEL = Path(__file__).parent / 'kernel'
-_COMPOSED: dict[str, ModuleType] = {}
 
 
 class Layout:
@@ -155,7 +153,7 @@ def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:
     """
     key = kernel_key(catalogue)
     name = f'tendon_robot_kernel_{key}'
-    if name not in _COMPOSED:
+    if name not in sys.modules:
         load_numba()
         folder = cache_folder() / name
         if not (folder / 'stages.py').is_file():
@@ -175,7 +173,6 @@ def compose(catalogue: Catalogue) -> Callable[[str], ModuleType]:
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module
         spec.loader.exec_module(module)
-        _COMPOSED[name] = module
     return cache(lambda part: importlib.import_module(f'{name}.{part}'))
 
 
@@ -355,10 +352,9 @@ class KernelArrays:
             parameter = known[key]
             numbers = value if isinstance(value, tuple) else (value,)
             counts = {'section': len(robot.sections), 'tendon': len(robot.tendons), '': 0}
-            count = counts[parameter.per]
+            count, per = counts[parameter.per], parameter.per
             if isinstance(value, tuple) and len(value) != count:
-                each = f'{count} numbers (one per {parameter.per})'
-                expected = each if parameter.per else 'one number'
+                expected = f'{count} numbers (one per {per})' if per else 'one number'
                 raise RobotDescriptionError(robot.source, where, expected, list(value))
             low, high = parameter.described_bounds
             for number in numbers:
@@ -415,21 +411,14 @@ class KernelArrays:
 
     def scratch(self) -> Floats:
         """Return scratch memory for one thread."""
-        lay, chain = self.part('layout'), self.chain
-        scratch = np.zeros(
-            lay.work_size(chain.n, chain.k)
-            + 3 * chain.n
-            + lay.memory_size(chain.n, chain.k, chain.m)
-            + chain.k
-            + chain.m
-        )
-        lay.lay_out_work(chain.n, chain.k, scratch)
+        lay, (n, k, m) = self.part('layout'), self.chain[:3]
+        scratch = np.zeros(lay.work_size(n, k) + lay.memory_size(n, k, m) + 3 * n + k + m)
+        lay.lay_out_work(n, k, scratch)
         return scratch
 
     def fresh_memory(self) -> Floats:
         """Return the friction memory of the straight, tension-free arm."""
-        chain = self.chain
-        return np.zeros(self.part('layout').memory_size(chain.n, chain.k, chain.m))
+        return np.zeros(self.part('layout').memory_size(*self.chain[:3]))
 
 
 def cell_rows(robot: Robot) -> Floats:

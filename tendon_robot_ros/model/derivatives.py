@@ -145,67 +145,43 @@ def derivatives(
     return np.stack([_per_unit(model, move, partial(solved, move)) for move in moves], axis=-1)
 
 
-@dataclass(frozen=True)
-class PathSlopes:
+def path_near(
+    model: ForwardModel, inputs: Floats, states: Floats, by_pulls: bool
+) -> Callable[[Floats], ShapeBatch]:
     """
-    Derivatives of equilibria that follow one another, b in a sequence from straight.
+    Return a function that gives the shapes (b) of a sequence from straight, to first order.
 
-    With them a model that is a little other is solved to first order along the whole path
-    (`shapes`): by a step of Newton at every posture, each after the memory that the step before
-    leaves. For arms whose bends remember; friction that remembers follows the tensions between
-    the postures, too.
+    For a model that is a little other than now: by a step of Newton at every posture, each after
+    the memory that the step before leaves. For arms whose bends remember; friction that remembers
+    follows the tensions between the postures, too. The function takes tensions (b, m) [N], or wire
+    pulls [m] where the motors hold these; NaN: a slack wire.
+
+    Parameters
+    ----------
+    inputs, states : (b, m) [N], (b, 3n) [rad]
+        Equilibria of the model as it is now, which follow one another.
+    by_pulls : bool
+        Whether the motors hold wire pulls, else tensions.
+
     """
+    model.arrays.link()
+    (b, m), u, address = inputs.shape, model.arrays.unknowns, model.arrays.address
+    inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
+    answers, by_tension = np.empty((b, u, u)), np.empty((b, m, u))
+    pulls = np.empty((b, m, m))
+    past, part = model.arrays.fresh_memory(), model.arrays.part('derivatives')
+    part.path_slopes(address, inputs, states, past, model.scratch, answers, by_tension, pulls)
+    held = tensions_by_pulls(inputs, pulls) if by_pulls else np.zeros_like(pulls)
 
-    model: ForwardModel
-    inputs: Floats  # (b, m) [N]
-    states: Floats  # (b, 3n) [rad]
-    answers: Floats  # (b, u, u) [1] state by residual
-    by_tension: Floats  # (b, m, u) [rad/N] state
-    held: Floats  # (b, m, m) [N/m] tensions by the wire pulls that motors hold
-    by_pulls: bool  # whether they hold pulls, else tensions
+    def shapes(commanded: Floats) -> ShapeBatch:
+        past = model.arrays.fresh_memory()
+        moved = (inputs if by_pulls else np.ascontiguousarray(commanded)).copy(), states.copy()
+        passed = transmitted(model, commanded, past) if by_pulls else commanded
+        slopes = answers, by_tension, held
+        part.path_steps(address, *moved, np.nan_to_num(passed), past, model.scratch, *slopes)
+        return shown(model, *moved, carry=True)
 
-    @classmethod
-    def of(cls, model: ForwardModel, inputs: Floats, states: Floats, by_pulls: bool) -> PathSlopes:
-        """Take the derivatives at equilibria of the model as it is now, by tensions or pulls."""
-        model.arrays.link()
-        (b, m), u = inputs.shape, model.arrays.unknowns
-        inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
-        answers, by_tension = np.empty((b, u, u)), np.empty((b, m, u))
-        pulls = np.empty((b, m, m))
-        past, part = model.arrays.fresh_memory(), model.arrays.part('derivatives')
-        part.path_slopes(
-            model.arrays.address, inputs, states, past, model.scratch, answers, by_tension, pulls
-        )
-        held = tensions_by_pulls(inputs, pulls) if by_pulls else np.zeros_like(pulls)
-        return cls(model, inputs, states, answers, by_tension, held, by_pulls)
-
-    def shapes(self, commanded: Floats) -> ShapeBatch:
-        """
-        Return the shapes (b) of the model as it is now, to first order.
-
-        Parameters
-        ----------
-        commanded : (b, m)
-            Tensions [N], or wire pulls [m] where the motors hold these; NaN: a slack wire.
-
-        """
-        model = self.model
-        inputs = (self.inputs if self.by_pulls else np.ascontiguousarray(commanded)).copy()
-        states, past = self.states.copy(), model.arrays.fresh_memory()
-        if self.by_pulls:
-            commanded = transmitted(model, commanded, past)
-        model.arrays.part('derivatives').path_steps(
-            model.arrays.address,
-            inputs,
-            states,
-            np.nan_to_num(commanded),
-            past,
-            model.scratch,
-            self.answers,
-            self.by_tension,
-            self.held,
-        )
-        return shown(model, inputs, states, carry=True)
+    return shapes
 
 
 @dataclass(frozen=True)
@@ -249,8 +225,8 @@ class Entries:
 class Move:
     """One quantity that moves: how far up and down, and what a model and its inputs are then."""
 
-    up: Floats  # (b,)
-    down: Floats  # (b,)
+    up: Floats | float  # of every posture (b,), or of all alike
+    down: Floats | float
     entries: tuple[Entries, ...] = ()
     effect: str = ''  # that acts meanwhile; '': none beside those that do
     tensions: Floats | None = None  # (2, b, m) [N] up and down; None: they stay
@@ -270,26 +246,21 @@ class Move:
     def of_parameter(
         cls,
         model: ForwardModel,
-        count: int,
         effect: str,
         name: str,
-        columns: Any,
+        owner: int | None,
         ends: tuple[float, float],
     ) -> Move:
-        """Move a parameter of an effect, in some of its columns, to both ends (down, up)."""
+        """Move a parameter, of one section or tendon or of all, to both ends (down, up)."""
         arrays, (low, high) = model.arrays, ends
-        which = arrays.layout.rows[effect, name], columns
+        which = arrays.layout.rows[effect, name], arrays.columns(effect, name, owner)
         entries = Entries.shifted(arrays.values, which, (high, low))
         beside = model.catalogue[effect].stage in STAGES_BESIDE
-        return cls(np.full(count, high), np.full(count, low), (entries,), effect, beside=beside)
+        return cls(high, low, (entries,), effect, beside=beside)
 
     @classmethod
     def by(
-        cls,
-        model: ForwardModel,
-        count: int,
-        ends: tuple[float, float],
-        set_to: Callable[[float], None],
+        cls, model: ForwardModel, ends: tuple[float, float], set_to: Callable[[float], None]
     ) -> Move:
         """Move what a function changes in the model's arrays, to both ends (down, up) and to 0."""
         arrays = model.arrays
@@ -302,8 +273,7 @@ class Move:
         for array, low, high, now in zip(every, *kept, strict=True):
             index = np.flatnonzero((low != now) | (high != now))
             entries.append(Entries(array, index, high[index], low[index]))
-        low, high = ends
-        return cls(np.full(count, high), np.full(count, low), tuple(entries))
+        return cls(ends[1], ends[0], tuple(entries))
 
     @contextmanager
     def applied(self, model: ForwardModel, up: bool) -> Iterator[None]:
@@ -320,60 +290,57 @@ class Move:
             arrays.on[:] = on
 
 
-@dataclass(frozen=True)
-class Variants:
-    """A model and its inputs with each of q moves, up and down, as the kernel reads them."""
+def variants(
+    model: ForwardModel, inputs: Floats, moves: Sequence[Move]
+) -> tuple[Floats, tuple[npt.NDArray[Any], ...]]:
+    """
+    Return inputs (2q, b, m) [N] and changes of a model with each of q moves, up and down.
 
-    inputs: Floats  # (2q, b, m) [N]
-    acting: npt.NDArray[np.uint8]  # (2q, effects)
-    starts: npt.NDArray[np.int64]  # (2q + 1,)
-    places: npt.NDArray[np.int64]  # (r,) addresses of entries
-    values: Floats  # (r,)
+    The changes as the kernel reads them (`shape.variants`): which effects act (2q, effects), where
+    the entries of each variant start (2q + 1,), and addresses and values of entries. Without moves
+    it is the model itself.
+    """
+    arrays, sides = model.arrays, max(2 * len(moves), 1)
+    tensions = np.repeat(inputs[None], sides, axis=0)
+    acting = np.repeat(arrays.on[None], sides, axis=0)
+    counts = np.zeros(sides + 1, dtype=np.int64)  # of entries, behind the first start
+    places, values = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+    for q, move in enumerate(moves):
+        if move.tensions is not None:
+            tensions[2 * q : 2 * q + 2] = move.tensions
+        if move.effect:
+            acting[2 * q : 2 * q + 2, arrays.layout.index[move.effect]] = 1
+        for up in (True, False):
+            places += [one.places for one in move.entries]
+            values += [one.up if up else one.down for one in move.entries]
+        counts[2 * q + 1 : 2 * q + 3] = sum(len(one.index) for one in move.entries)
+    changes = acting, np.cumsum(counts), np.concatenate(places), np.concatenate(values)
+    return tensions, changes
 
-    @classmethod
-    def of(cls, model: ForwardModel, inputs: Floats, moves: Sequence[Move]) -> Variants:
-        """Return the variants by moves of a model; without any, the model itself."""
-        arrays, sides = model.arrays, max(2 * len(moves), 1)
-        tensions = np.repeat(inputs[None], sides, axis=0)
-        acting = np.repeat(arrays.on[None], sides, axis=0)
-        places, values, counts = [], list[Floats](), np.zeros(sides, dtype=np.int64)
-        for q, move in enumerate(moves):
-            if move.tensions is not None:
-                tensions[2 * q : 2 * q + 2] = move.tensions
-            if move.effect:
-                acting[2 * q : 2 * q + 2, arrays.layout.index[move.effect]] = 1
-            for up in (True, False):
-                places += [one.places for one in move.entries]
-                values += [one.up if up else one.down for one in move.entries]
-            counts[2 * q : 2 * q + 2] = sum(len(one.index) for one in move.entries)
-        starts = np.append(0, np.cumsum(counts))
-        none = np.zeros(0, dtype=np.int64)
-        return cls(
-            tensions,
-            acting,
-            starts,
-            np.concatenate([none, *places]),
-            np.concatenate([np.zeros(0), *values]),
-        )
 
-    def at(
-        self, model: ForwardModel, states: Floats, past: Floats, shows: bool = False
-    ) -> tuple[Floats, ShapeBatch]:
-        """
-        Return how far states (2q, b, 3n) or (b, 3n) [rad] are from balance, and their shapes.
+def off_balance(
+    model: ForwardModel,
+    inputs: Floats,
+    changes: tuple[npt.NDArray[Any], ...],
+    states: Floats,
+    past: Floats,
+    shows: bool = False,
+) -> tuple[Floats, ShapeBatch]:
+    """
+    Return how far states (2q, b, 3n) or (b, 3n) [rad] are from balance, and their shapes.
 
-        The former (2q, b, 3n) [rad] are the states minus those that their own moments ask for. Of
-        the shapes (2q b) only inputs, states and tensions are filled; with `shows` all fields.
-        """
-        model.arrays.link()
-        inputs = self.inputs.reshape(-1, self.inputs.shape[2])
-        states = np.broadcast_to(states, (*self.inputs.shape[:2], states.shape[-1]))
-        out, rows = np.empty(states.shape), (len(inputs), -1)
-        block, batch, _ = model.form.filled(inputs, states.reshape(rows))
-        fixed = model.arrays.address, block, past, model.scratch
-        changes = self.acting, self.starts, self.places, self.values, out.reshape(rows)
-        model.arrays.part('shape').variants(*fixed, *changes, int(shows))
-        return out, batch
+    Of `variants`. The former (2q, b, 3n) [rad] are the states minus those that their own moments
+    ask for. Of the shapes (2q b) only inputs, states and tensions are filled; with `shows` all
+    fields.
+    """
+    model.arrays.link()
+    rows = inputs.shape[0] * inputs.shape[1]
+    states = np.broadcast_to(states, (*inputs.shape[:2], states.shape[-1]))
+    out = np.empty(states.shape)
+    block, batch, _ = model.form.filled(inputs.reshape(rows, -1), states.reshape(rows, -1))
+    fixed = model.arrays.address, block, past, model.scratch
+    model.arrays.part('shape').variants(*fixed, *changes, out.reshape(rows, -1), int(shows))
+    return out, batch
 
 
 def follow(
@@ -400,17 +367,19 @@ def follow(
     """
     arrays, b = model.arrays, len(inputs)
     past = arrays.fresh_memory() if memory is None else memory
-    sides = np.array([(move.up, move.down) for move in moves]).reshape(-1, 2, b)
+    sides = np.empty((len(moves), 2, b))
+    for own, move in zip(sides, moves, strict=True):
+        own[0], own[1] = move.up, move.down
     widths = sides[:, 0] - sides[:, 1]
     at_once = max(SHOWN_AT_ONCE // (2 * b), 1)
     places = [slice(begin, begin + at_once) for begin in range(0, len(moves), at_once)]
-    parts = [Variants.of(model, inputs, moves[some]) for some in places]
+    parts = [variants(model, inputs, moves[some]) for some in places]
     before = arrays.on.copy()
     try:  # cells twist for all if they do for one, else their twist would follow nothing
-        arrays.on[:] = np.concatenate([part.acting for part in parts]).max(axis=0)
+        arrays.on[:] = np.concatenate([changes[0] for _, changes in parts]).max(axis=0)
         arrays.link()
         arrays.on[:] = before | (arrays.on & arrays.twisting)
-        off = np.concatenate([part.at(model, states, past)[0] for part in parts])
+        off = np.concatenate([off_balance(model, *part, states, past)[0] for part in parts])
         rates = (off[0::2] - off[1::2]) / widths[:, :, None]
         state_slopes = responses(model, inputs, states, past, rates.swapaxes(0, 1)).swapaxes(0, 1)
     finally:
@@ -418,7 +387,8 @@ def follow(
     slopes = list[Floats]()
     for some, part in zip(places, parts, strict=True):
         moved = states + sides[some, :, :, None] * state_slopes[some, None]
-        ends = output(part.at(model, moved.reshape(-1, *states.shape), past, shows=True)[1])
+        moved = moved.reshape(-1, *states.shape)
+        ends = output(off_balance(model, *part, moved, past, shows=True)[1])
         ends = ends.reshape(-1, 2, b, *ends.shape[1:])
         slopes.append((ends[:, 0] - ends[:, 1]) / _like(widths[some], ends[:, 0]))
     outputs = np.concatenate(slopes)
@@ -441,7 +411,7 @@ def _per_unit(model: ForwardModel, move: Move, value_at: Callable[[bool], Floats
     for up in (True, False):
         with move.applied(model, up):
             ends.append(value_at(up))
-    return np.asarray((ends[0] - ends[1]) / _like(move.up - move.down, ends[0]))
+    return np.asarray((ends[0] - ends[1]) / _like(np.asarray(move.up - move.down), ends[0]))
 
 
 def move_of(model: ForwardModel, shapes: ShapeBatch, column: Column) -> Move:
@@ -461,8 +431,7 @@ def move_of(model: ForwardModel, shapes: ShapeBatch, column: Column) -> Move:
     # a description may say more than a fit may: from there one-sided, too
     low, high = min(parameter.low, value), max(parameter.high, value)
     ends = max(-step, low - value), min(step, high - value)
-    columns = model.arrays.columns(effect, name, owner)
-    return Move.of_parameter(model, len(shapes), effect, name, columns, ends)
+    return Move.of_parameter(model, effect, name, owner, ends)
 
 
 def responses(
@@ -545,6 +514,7 @@ def tip_stiffness(model: ForwardModel, shape: Shape, wires_held: bool = False) -
         Slack wires hold nothing.
 
     """
+    shape = model.own_shape('shape', shape)
     taut = [
         name for name, t in zip(model.inputs, shape.inputs, strict=True) if t > LEAST_TENSION_N
     ]

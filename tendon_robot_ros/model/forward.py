@@ -17,7 +17,7 @@ from ..robot import RobotLike, load_robot
 from ..robot.estimates import natural_sizes
 from ..robot.inputs import TensionsLike, are_tensions, input_rows, tensions_of
 from .compile import BEND_TOLERANCE, KernelArrays
-from .shape import ResultLayout, Shape, ShapeBatch
+from .shape import ResultLayout, Shape, ShapeBatch, named_values
 
 TOLERANCE = BEND_TOLERANCE
 # [rad] last step of a search that stalled at a kink of friction, because those of arms that buckle
@@ -293,11 +293,10 @@ class ForwardModel:
     def scratch(self) -> int:
         """Address of this thread's scratch memory."""
         own = self._own
-        try:
-            address: int = own.address
-        except AttributeError:
+        if not hasattr(own, 'address'):
             own.memory = self.arrays.scratch()
-            own.address = address = own.memory.ctypes.data
+            own.address = own.memory.ctypes.data
+        address: int = own.address
         return address
 
     def measured(self, points: Floats) -> Floats:
@@ -310,10 +309,7 @@ class ForwardModel:
     def _refuse(self, inputs: Floats, changes: Floats) -> None:
         bad = np.flatnonzero(~(changes < TOLERANCE))
         if len(bad):
-            named = ', '.join(
-                f'{name} {value:g} N'
-                for name, value in zip(self.inputs, inputs[bad[0]], strict=True)
-            )
+            named = named_values(self.inputs, inputs[bad[0]], 'N')
             where = f'posture {bad[0]} ({named})' if len(inputs) > 1 else named
             raise NoEquilibriumError(where, self.implicit_effects, float(changes[bad[0]]))
 
@@ -340,5 +336,4 @@ def workspace_library(model: ForwardModel) -> ShapeBatch:
     top = np.where(random.random((count, 1)) < 0.25, high, scale)
     inputs = low + spread * (top - low)
     batch, changes = model.solve(inputs)
-    good = changes < TOLERANCE
-    return batch.of(good)
+    return batch.of(changes < TOLERANCE)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 
@@ -13,7 +13,7 @@ from ..common.arrays import Floats
 from ..common.errors import NoEquilibriumError
 from ..common.estimation import ITERATIONS_MAX
 from .program import within
-from .pulls import Aim, aim_by_pulls, command, held_shape
+from .pulls import command, held_shape
 from .redundancy import Balance, balanced
 from .shape import Reach, Shape
 from .starts import (
@@ -21,8 +21,11 @@ from .starts import (
     SEEKING_WEIGHT,
     TRACKING_GAIN_MIN,
     TRIALS_MAX,
+    Aim,
     Start,
+    TriedTensions,
     aim,
+    aim_by_pulls,
     aim_frugally,
     rows_near,
     seek,
@@ -52,15 +55,6 @@ JUMP_MAX = 0.1
 # [1] of the cost of the one before, that a solution which jumps, or which is reported before the
 # search ends, must have less than, because the tip would hardly be nearer for it
 WORTHWHILE_MAX = 0.8
-
-
-@dataclass(frozen=True)
-class TriedTensions:
-    """Tensions (m,) [N] with the state (3n,) [rad] of their equilibrium, and their cost [m²]."""
-
-    cost: float
-    inputs: Floats
-    state: Floats
 
 
 def reach(
@@ -154,14 +148,8 @@ class _Search:
         for count, start in enumerate(starts_of(task, self.policy, self.report is not None)):
             trial = self._from(start)
             worth = self._worth(trial)
-            converged = self._converged(trial) and not (
-                self.previous is not None and self._jumps(self.previous.inputs, trial.inputs)
-            )
-            jumps = (
-                best is not None
-                and task.guess is not None
-                and self._jumps(best.inputs, trial.inputs)
-            )
+            converged = self._converged(trial) and not self._jumps(self.previous, trial)
+            jumps = task.guess is not None and self._jumps(best, trial)
             fraction = WORTHWHILE_MAX if jumps and not converged else 1.0
             if best is None or worth < fraction * lowest_worth:
                 best, lowest_worth = trial, worth
@@ -177,12 +165,8 @@ class _Search:
                 remembers and count == 0 and trial.cost < TOLERANCE_COST_M2
             )
             # the start after the first search is a first move of the arm, and takes no time
-            must_find_first_move = (
-                sticks
-                and count <= 1
-                and self.report is not None
-                and last_reported == cost_at_guess
-            )
+            unmoved = self.report is not None and last_reported == cost_at_guess
+            must_find_first_move = sticks and count <= 1 and unmoved
             if converged or good_enough or (self.give_up() and not must_find_first_move):
                 break
         assert best is not None
@@ -198,40 +182,35 @@ class _Search:
         The searches start from the best solution, from the present shape and, unless targets
         follow each other, from the straight arm at its lowest tensions.
         """
-        guess, model, initial = self.task.guess, self.model, best
+        guess, model = self.task.guess, self.model
         best = self._priced(best, best)
         if guess is not None:
             inputs = within(guess.inputs, *self.task.limits.T)
-            best = self._priced(best, replace(initial, inputs=inputs, state=guess.state))
+            best = self._priced(best, TriedTensions(inputs, guess.state))
         if not (self.policy.frugal or late):
-            straight = np.zeros(3 * model.robot.cells)
-            best = self._priced(best, replace(initial, inputs=model.limits[:, 0], state=straight))
+            straight = TriedTensions(model.limits[:, 0], np.zeros(3 * model.robot.cells))
+            best = self._priced(best, straight)
         return best
 
     def relaxed(self, best: TriedTensions) -> TriedTensions:
         """Return a solution of lower tension if it still converges, else the given one."""
-        task, inputs, state, cost = self.task, best.inputs.copy(), best.state, best.cost
+        task, limits, result = self.task, self.model.limits, best
         if self.model.sticks:
-            cost, state = seek(task, 0.1, inputs, state, self.model.limits)
+            result = seek(task, 0.1, best, limits)
         else:
             for weight in (100.0 * SEEKING_WEIGHT, SEEKING_WEIGHT, LOW_TENSION_WEIGHT):
-                cost, state = aim(
-                    task, 0.0, inputs, state, self.model.limits, task.tension(weight)
-                )
-        result = TriedTensions(cost, inputs, state)
-        return result if cost < best.cost and self._converged(result) else best
+                result = aim(task, 0.0, result, limits, task.tension(weight))
+        return result if result.cost < best.cost and self._converged(result) else best
 
     def good_enough(self, one: TriedTensions) -> bool:
         """Tell whether a search may end: converged, or as near as a kink of friction allows."""
         return self._converged(one) or (self.model.sticks and one.cost < self.kink_cost)
 
     def _from(self, start: Start) -> TriedTensions:
-        search, inputs, state = start
+        search, tried = start
         if self.task.by_pulls:
-            cost, bends = aim_by_pulls(self.task, search, inputs, state)
-        else:
-            cost, bends = search(inputs, state, self.model.limits)
-        return TriedTensions(cost, inputs, bends)
+            return aim_by_pulls(self.task, search, tried)
+        return search(tried, self.model.limits)
 
     def _converged(self, one: TriedTensions) -> bool:
         """Tell whether the cost without its part for low tension is within the tolerance."""
@@ -249,10 +228,11 @@ class _Search:
             cost += 0.5 * weight**2 * float(change @ change)
         return cost
 
-    def _jumps(self, before: Floats, inputs: Floats) -> bool:
-        """Tell whether tensions (m,) [N] are far from those before."""
+    def _jumps(self, before: TriedTensions | Shape | None, trial: TriedTensions) -> bool:
+        """Tell whether tensions are far from those before, if there are any."""
         low, high = self.model.limits.T
-        return bool(np.any(np.abs(inputs - before) > JUMP_MAX * (high - low)))
+        far = JUMP_MAX * (high - low)
+        return before is not None and bool(np.any(np.abs(trial.inputs - before.inputs) > far))
 
     def _priced(self, best: TriedTensions, start: TriedTensions) -> TriedTensions:
         """
@@ -273,11 +253,9 @@ class _Search:
         search: Aim = partial(aim, task, 0.0, tension=tension)
         if self.policy.frugal:
             search = partial(aim_frugally, task, tension, TRIALS_MAX)
-        inputs = start.inputs.copy()
-        cost, state = search(inputs, start.state, self.task.limits)
+        result = search(start, task.limits)
         if task.by_pulls:  # only the taut wires keep tension
-            cost, state = aim_by_pulls(task, search, inputs, state)
-        result = TriedTensions(cost, inputs, state)
+            result = aim_by_pulls(task, search, result)
         return result if worth(result) < worth(best) else best
 
 
@@ -345,9 +323,10 @@ def _within_tolerance(errors: tuple[float, float]) -> bool:
 
 def _limits_bind(task: TipTask, inputs: Floats, state: Floats) -> bool:
     """Tell whether the target would be reached with three times the tension."""
-    more = inputs.copy()
-    cost, bends = aim(task, TRACKING_GAIN_MIN, more, state, task.model.limits * [1.0, 3.0])
+    start, limits = TriedTensions(inputs, state), task.model.limits * [1.0, 3.0]
+    more = aim(task, TRACKING_GAIN_MIN, start, limits)
     try:
-        return bool(np.isfinite(cost)) and _within_tolerance(task.errors(task.shape(more, bends)))
+        errors = task.errors(task.shape(more.inputs, more.state))
+        return bool(np.isfinite(more.cost)) and _within_tolerance(errors)
     except NoEquilibriumError:
         return False

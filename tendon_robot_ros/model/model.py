@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,10 +11,10 @@ from ..common.arrays import Floats
 from ..common.errors import whole
 from ..robot.inputs import TensionsLike
 from ..robot.keep_out import KeepOut
-from .derivatives import Column, Output, TipStiffness, derivatives, tip_slopes, tip_stiffness
+from . import derivatives as slopes
+from . import pulls as wires
 from .forward import ForwardModel
 from .inverse import reach
-from .pulls import pull_shape
 from .shape import Reach, Shape, ShapeBatch
 from .tip_task import COLD, Policy, Preferences, TipTask, refuse_other_unit
 
@@ -29,6 +28,10 @@ class Model(ForwardModel):
     Shapes (`shape`, `shapes`, `pull_shape`) and targets (`reach`) are in the base frame of the
     arm; `observed` returns what a tracker sees, whose frame `base_misalignment` describes.
     """
+
+    derivatives = slopes.derivatives
+    tip_stiffness = slopes.tip_stiffness
+    pull_shape = wires.pull_shape
 
     def observed(
         self,
@@ -64,16 +67,9 @@ class Model(ForwardModel):
         """Return d (tip position [m], tip direction) / d tensions [N], (6, m), from straight."""
         inputs = self.tensions(tensions)
         if not self.friction_remembers:
-            return tip_slopes(self, self.shape(inputs), self.arrays.fresh_memory())
+            return slopes.tip_slopes(self, self.shape(inputs), self.arrays.fresh_memory())
         shapes = self.shapes(inputs[None])
-        slopes: Floats = derivatives(self, shapes, self.inputs, lambda batch: batch.tip)[0]
-        return slopes
-
-    def derivatives(
-        self, shapes: ShapeBatch, columns: Sequence[Column], output: Output | None = None
-    ) -> Floats:
-        """Return derivatives by tensions and parameters; see `derivatives.derivatives`."""
-        return derivatives(self, shapes, columns, output)
+        return np.asarray(self.derivatives(shapes, self.inputs, lambda batch: batch.tip)[0])
 
     def reach(
         self,
@@ -129,16 +125,6 @@ class Model(ForwardModel):
         )
         return reach(task, Policy(starts=whole('starts', starts, 1 if guess is None else 0)))
 
-    def tip_stiffness(self, shape: Shape, wires_held: bool = False) -> TipStiffness:
-        """Return the compliance of the tip under a force; see `derivatives.tip_stiffness`."""
-        return tip_stiffness(self, self.own_shape('shape', shape), wires_held)
-
-    def pull_shape(
-        self, pulls: TensionsLike, guess: Shape | None = None, memory: Floats | None = None
-    ) -> Shape:
-        """Return the shape under wire pulls; see `pulls.pull_shape`."""
-        return pull_shape(self, pulls, guess, memory)
-
     def follow_pulls(self, last: Shape | None, pulls: TensionsLike) -> Shape:
         """
         Return the shape under wire pulls that follow those of the last shape, as `follow` does.
@@ -154,4 +140,4 @@ class Model(ForwardModel):
         InputError, NoEquilibriumError
 
         """
-        return pull_shape(self, pulls, last, None if last is None else last.memory)
+        return self.pull_shape(pulls, last, None if last is None else last.memory)

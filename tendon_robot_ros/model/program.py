@@ -34,11 +34,10 @@ def solved(
     """
     import daqp  # on first use: processes that solve no program do not load it
 
-    m, high = len(slope), upper
+    m = len(slope)
     if rows is None:
         rows = np.empty((0, m))
-    else:
-        high = np.concatenate([upper, np.full(len(rows), 1e30)])
+    high = np.concatenate([upper, np.full(len(rows), 1e30)])
     solution, _, flag, _ = daqp.solve(matrix, slope, np.ascontiguousarray(rows), high, lower)
     return within(solution, lower[:m], upper) if flag >= 1 else np.zeros(m)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,17 +11,13 @@ from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError
 from ..common.estimation import ITERATIONS_MAX
 from ..common.words import FAR_M
-from ..robot.estimates import SAME_TENSION_N
 from ..robot.inputs import TensionsLike, input_rows, wire_pulls
-from .compile import GAP_ACCEPTED_M, LEAST_TENSION_N
-from .shape import ShapeBatch, WireSlopes
+from .compile import GAP_ACCEPTED_M
+from .shape import ShapeBatch, WireSlopes, named_values
 
 if TYPE_CHECKING:
     from .forward import ForwardModel
     from .shape import Shape
-    from .tip_task import TipTask
-
-Aim = Callable[[Floats, Floats, Floats], tuple[float, Floats]]
 
 
 def pull_shape(
@@ -53,10 +48,7 @@ def pull_shape(
 
     """
     commanded = wire_pulls(model.robot, pulls)
-    past = model.arrays.fresh_memory() if memory is None else memory
-    if not model.transmission_remembers:
-        return held_shape(model, commanded, guess, past)
-    past = past.copy()
+    past = model.arrays.fresh_memory() if memory is None else memory.copy()
     passed = transmitted(model, commanded[None], past)[0]
     shape = held_shape(model, passed, guess, past)
     shape.pulls[:] += np.nan_to_num(commanded - passed)
@@ -178,11 +170,7 @@ def _met(
         return inputs, states
     if not np.isfinite(gaps[met]):
         raise NoEquilibriumError('these wire pulls', model.implicit_effects, gaps[met])
-    named = ', '.join(
-        f'{name} {1e3 * value:g} mm'
-        for name, value in zip(model.inputs, targets[met], strict=True)
-        if np.isfinite(value)
-    )
+    named = named_values(model.inputs, 1e3 * targets[met], 'mm')
     raise InputError(
         f'pulls: no tensions give {named} together (off by {1e3 * gaps[met]:.2g} mm); '
         'release one of the wires'
@@ -193,46 +181,3 @@ def unknown_slopes(model: ForwardModel, count: int) -> WireSlopes:
     """Return the slopes of so many postures of which nothing is known."""
     m = len(model.inputs)
     return WireSlopes(np.full((count, m, m), np.nan), np.zeros((count, m, model.arrays.unknowns)))
-
-
-def aim_by_pulls(task: TipTask, aim: Aim, inputs: Floats, bend: Floats) -> tuple[float, Floats]:
-    """
-    Improve inputs (m,) [N] in place among those that wire lengths can hold.
-
-    Wires of given lengths keep no tension against each other: of the states with these lengths,
-    the arm takes the one in which the loose wires are slack. So the wires that the lengths do not
-    hold are set slack, one after the other, and the search is repeated with the others.
-
-    Parameters
-    ----------
-    aim : callable
-        Inputs (m,) [N], state (3n,) [rad] and limits (m, 2) [N] to the cost [m²] and the state.
-
-    Returns
-    -------
-    cost : float [m²]
-        Infinite where no tensions are held.
-    bends : (3n,) [rad]
-        State, bends and twists.
-
-    """
-    model, taut = task.model, inputs > LEAST_TENSION_N
-    for _ in range(len(inputs)):
-        limits = task.limits * taut[:, None]
-        np.clip(inputs, *limits.T, out=inputs)
-        cost, bends = aim(inputs, bend, limits)
-        if not np.isfinite(cost):
-            break
-        try:
-            shape = task.shape(inputs, bends)
-            held = held_shape(model, shape.pulls, shape, task.past)
-        except (NoEquilibriumError, InputError):
-            break
-        if np.allclose(held.inputs, inputs, rtol=0.0, atol=SAME_TENSION_N):
-            return cost, bends
-        lost = taut & (held.inputs < inputs - SAME_TENSION_N)
-        if not lost.any():
-            break
-        taut[np.argmin(np.where(lost, held.inputs, np.inf))] = False
-        inputs[:], bend = held.inputs, held.state
-    return np.inf, bend

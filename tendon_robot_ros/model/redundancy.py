@@ -149,9 +149,7 @@ class Balance:
             at.preferred = self._preferred(at)
         slopes, (diagonal, slope) = self.slopes(at), at.preferred
         weighted = self.tip_weight * slopes.T
-        matrix = weighted @ slopes
-        matrix.ravel()[:: len(slope) + 1] += diagonal
-        return matrix, slope + weighted @ at.error
+        return weighted @ slopes + np.diag(diagonal), slope + weighted @ at.error
 
     def _preferred(self, at: Linearised) -> tuple[Floats, Floats]:
         """Return diagonal (m,) and slope (m,) of the preferences, in fractions of the range."""

@@ -389,6 +389,12 @@ def _numbers(values: Floats) -> str:
     return ', '.join(f'{value:.3g}' for value in values)
 
 
+def named_values(names: Sequence[str], values: Floats, unit: str) -> str:
+    """Return values with their names, without those that are not finite."""
+    named = zip(names, values, strict=True)
+    return ', '.join(f'{name} {value:g} {unit}' for name, value in named if np.isfinite(value))
+
+
 def _tip_text(shape: Shape) -> str:
     place, along = _numbers(1e3 * shape.tip_position), _numbers(shape.tip_direction)
     return f'tip at ({place}) mm towards ({along})'

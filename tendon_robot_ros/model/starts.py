@@ -8,8 +8,8 @@ after the other, all over the workspace.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any
@@ -17,14 +17,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..common.arrays import Floats
+from ..common.errors import InputError, NoEquilibriumError
+from ..robot.estimates import SAME_TENSION_N
+from .compile import LEAST_TENSION_N
 from .program import within
-from .pulls import Aim
+from .pulls import held_shape
 from .tip_task import COLD, LOW_TENSION_WEIGHT, Policy, TipTask, cost_of
 
 if TYPE_CHECKING:
     from .shape import Shape, ShapeBatch
 
-Start = tuple[Aim, Floats, Floats]  # how to search, tensions (m,) [N] and bends to start from
 # [1] of the cost, gained by a step: less ends a search from near that has reached the target,
 # because the next target comes before more is gained
 TRACKING_GAIN_MIN = 1e-2
@@ -45,25 +47,37 @@ SEEKING_WEIGHT = 100.0 * LOW_TENSION_WEIGHT
 FAR_LENGTH = 0.06
 
 
+@dataclass(frozen=True)
+class TriedTensions:
+    """Tensions (m,) [N], a state (3n,) [rad], of equilibrium or a guess, and a cost [m²]."""
+
+    inputs: Floats
+    state: Floats
+    cost: float = np.inf
+
+
+# how to improve tensions within limits (m, 2) [N], and from where
+Aim = Callable[[TriedTensions, Floats], TriedTensions]
+Start = tuple[Aim, TriedTensions]
+
+
 def aim(
     task: TipTask,
     gain_min: float,
-    inputs: Floats,
-    bend: Floats,
+    start: TriedTensions,
     limits: Floats,
     tension: tuple[float, ...] | None = None,
     cost_max: float = np.inf,
     trials: int = TRIALS_MAX,
-) -> tuple[float, Floats]:
+) -> TriedTensions:
     """
-    Improve inputs in place, from equilibrium to equilibrium; return the cost [m²] and the bends.
+    Improve tensions, from equilibrium to equilibrium.
 
     Parameters
     ----------
     gain_min : float
         At the target, a step that reduces the cost by a smaller fraction is the last [1].
-    inputs, bend : (m,) [N] and (3n,) [rad]
-        Where the search starts.
+    start : TriedTensions
     limits : (m, 2) [N]
     tension : tuple of float, optional
         Cost of tension (`TipTask.tension`); default: just enough to decide between equal tips.
@@ -73,75 +87,55 @@ def aim(
         Equilibria that may be tried.
 
     """
-    bends = np.array([bend, bend])
-    problem = _kernel_arguments(task, inputs, bends, limits)
+    problem = _kernel_arguments(task, start, limits)
     tension = task.tension(LOW_TENSION_WEIGHT) if tension is None else tension
     search = task.model.arrays.part('inverse').aim
-    return float(search(*problem, tension, trials, gain_min, cost_max)), bends[0]
+    cost = float(search(*problem, tension, trials, gain_min, cost_max))
+    return TriedTensions(problem[1], problem[2][0], cost)
 
 
 def aim_frugally(
-    task: TipTask,
-    tension: tuple[float, ...],
-    trials: int,
-    inputs: Floats,
-    bend: Floats,
-    limits: Floats,
-) -> tuple[float, Floats]:
-    """Improve inputs in place with a cost of tension; return cost [m²] without it, and bends."""
-    bends = aim(task, TRACKING_GAIN_MIN, inputs, bend, limits, tension, trials=trials)[1]
-    return cost_at(task, inputs, bends, limits)
+    task: TipTask, tension: tuple[float, ...], trials: int, start: TriedTensions, limits: Floats
+) -> TriedTensions:
+    """Improve tensions with a cost of tension, which is no part of the cost that is returned."""
+    found = aim(task, TRACKING_GAIN_MIN, start, limits, tension, trials=trials)
+    return cost_at(task, found, limits)
 
 
-def cost_at(task: TipTask, inputs: Floats, bend: Floats, limits: Floats) -> tuple[float, Floats]:
-    """Return the cost [m²] and the bends of the equilibrium under inputs, as they are."""
-    return aim(task, TRACKING_GAIN_MIN, inputs, bend, limits, cost_max=0.0)
+def cost_at(task: TipTask, start: TriedTensions, limits: Floats) -> TriedTensions:
+    """Return the equilibrium of tensions as they are, with its cost."""
+    return aim(task, TRACKING_GAIN_MIN, start, limits, cost_max=0.0)
 
 
 def step_towards(
-    task: TipTask, guess: Shape, inputs: Floats, bend: Floats, limits: Floats
-) -> tuple[float, Floats]:
-    """Improve inputs in place by one step towards a far target: a first move of the arm."""
+    task: TipTask, guess: Shape, start: TriedTensions, limits: Floats
+) -> TriedTensions:
+    """Improve tensions by one step towards a far target: a first move of the arm."""
     near, step = task.target.copy(), 0.5 * FAR_LENGTH * task.model.robot.length
     near[:6] += (1.0 - step / np.sqrt(2.0 * task.cost(guess))) * task.tip_error(guess)
-    bends = aim(
-        replace(task, target=near),
-        TRACKING_GAIN_MIN,
-        inputs,
-        bend,
-        limits,
-        trials=STICKING_TRIALS_MAX,
-    )[1]
-    return cost_at(task, inputs, bends, limits)
+    nearer = replace(task, target=near)
+    moved = aim(nearer, TRACKING_GAIN_MIN, start, limits, trials=STICKING_TRIALS_MAX)
+    return cost_at(task, moved, limits)
 
 
 def seek(
     task: TipTask,
     fraction: float,
-    inputs: Floats,
-    bend: Floats,
+    start: TriedTensions,
     limits: Floats,
     steps: int = TRIALS_MAX // 2,
-) -> tuple[float, Floats]:
+) -> TriedTensions:
     """
-    Improve inputs in place towards a far target; return the cost [m²] and bends at equilibrium.
+    Improve tensions towards a far target, for tendons that stick and slip.
 
-    For tendons that stick and slip: bends and tensions are solved for at once, with a smoothing
-    length of friction that starts as a fraction of the widest.
+    Bends and tensions are solved for at once, with a smoothing length of friction that starts as a
+    fraction of the widest; equilibrium comes last.
     """
-    bends = np.array([bend, bend])
-    problem = _kernel_arguments(task, inputs, bends, limits)
+    problem = _kernel_arguments(task, start, limits)
     part = task.model.arrays.part('inverse')
     part.seek(*problem, SEEKING_WEIGHT * task.per_newton, fraction, steps)
-    return aim(
-        task,
-        TRACKING_GAIN_MIN,
-        inputs,
-        bends[0],
-        limits,
-        cost_max=far_cost(task),
-        trials=STICKING_TRIALS_MAX,
-    )
+    found, far = TriedTensions(problem[1], problem[2][0]), far_cost(task)
+    return aim(task, TRACKING_GAIN_MIN, found, limits, cost_max=far, trials=STICKING_TRIALS_MAX)
 
 
 def far_cost(task: TipTask) -> float:
@@ -149,19 +143,47 @@ def far_cost(task: TipTask) -> float:
     return cost_of(FAR_LENGTH * task.model.robot.length)
 
 
-def _kernel_arguments(
-    task: TipTask, inputs: Floats, bends: Floats, limits: Floats
-) -> tuple[Any, ...]:
-    """Return the arguments that both compiled searches share."""
+def _kernel_arguments(task: TipTask, start: TriedTensions, limits: Floats) -> tuple[Any, ...]:
+    """Return the arguments that both compiled searches share; the second and third are results."""
     low, high = np.ascontiguousarray(limits.T)
     model, until = task.model, task.patience.until.ctypes.data
-    problem = (model.arrays.address, inputs, bends, task.target, low, high)
+    inputs, states = start.inputs.copy(), np.array([start.state, start.state])
+    problem = (model.arrays.address, inputs, states, task.target, low, high)
     return *problem, until, task.past, model.scratch
+
+
+def aim_by_pulls(task: TipTask, search: Aim, start: TriedTensions) -> TriedTensions:
+    """
+    Improve tensions among those that wire lengths can hold; the cost is infinite if none are held.
+
+    Wires of given lengths keep no tension against each other: of the states with these lengths,
+    the arm takes the one in which the loose wires are slack. So the wires that the lengths do not
+    hold are set slack, one after the other, and the search is repeated with the others.
+    """
+    taut, tried = start.inputs > LEAST_TENSION_N, start
+    for _ in range(len(taut)):
+        limits = task.limits * taut[:, None]
+        tried = search(replace(tried, inputs=np.clip(tried.inputs, *limits.T)), limits)
+        if not np.isfinite(tried.cost):
+            break
+        try:
+            shape = task.shape(tried.inputs, tried.state)
+            held = held_shape(task.model, shape.pulls, shape, task.past)
+        except (NoEquilibriumError, InputError):
+            break
+        if np.allclose(held.inputs, tried.inputs, rtol=0.0, atol=SAME_TENSION_N):
+            return tried
+        lost = taut & (held.inputs < tried.inputs - SAME_TENSION_N)
+        if not lost.any():
+            break
+        taut[np.argmin(np.where(lost, held.inputs, np.inf))] = False
+        tried = TriedTensions(held.inputs, held.state)
+    return replace(tried, cost=np.inf)
 
 
 def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:
     """
-    Yield search functions with tensions and bends to start from, each computed on demand.
+    Yield search functions with what they start from, each computed on demand.
 
     The first start is the guess, then the straight arm, from which a gentle bend is nearer than a
     curl, then the shapes of the library whose tips are nearest. Where
@@ -175,7 +197,7 @@ def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:
         steps = TRIALS_MAX // (4 if task.target[7] else 2)
         nearby = partial(seek, task, 1.0, steps=steps)
     if guess is not None:
-        present = within(guess.inputs, *task.limits.T)
+        present = TriedTensions(within(guess.inputs, *task.limits.T), guess.state)
         # where friction remembers, a search creeps along narrow valleys
         trials = 4 * TRIALS_MAX if model.remembers else TRIALS_MAX
         trials = STICKING_TRIALS_MAX if model.sticks else trials
@@ -183,30 +205,30 @@ def starts_of(task: TipTask, policy: Policy, reports: bool) -> Iterator[Start]:
         frugal = partial(aim_frugally, task, task.tension(policy.tension_weight), trials)
         far = model.sticks and task.cost(guess) >= far_cost(task)
         if not far and (model.sticks or not policy.frugal):
-            yield track, present.copy(), guess.state
+            yield track, present
         if policy.frugal:
-            yield frugal, present.copy(), guess.state
+            yield frugal, present
         if far:
-            yield partial(cost_at, task), present, guess.state  # to stay
+            yield partial(cost_at, task), present  # to stay
             if policy.starts:
-                yield partial(seek, task, 1.0), present.copy(), guess.state
+                yield partial(seek, task, 1.0), present
             if reports:
                 yield _setting_out(task, guess, present, bool(policy.starts))
     starts = min(policy.starts, FEW_STARTS) if task.by_pulls else policy.starts
     if starts:
-        yield nearby, model.limits[:, 0].copy(), np.zeros(3 * model.robot.cells)
+        yield nearby, TriedTensions(model.limits[:, 0], np.zeros(3 * model.robot.cells))
         for row in islice(rows_near(task), starts):
-            yield nearby, model.library.inputs[row].copy(), model.library.state[row]
+            yield nearby, TriedTensions(model.library.inputs[row], model.library.state[row])
 
 
-def _setting_out(task: TipTask, guess: Shape, inputs: Floats, from_library: bool) -> Start:
+def _setting_out(task: TipTask, guess: Shape, present: TriedTensions, from_library: bool) -> Start:
     """Return a start that soon brings a far tip nearer: a library shape, or a short step."""
     if from_library:
         library, row = task.model.library, next(rows_near(task))
         # at half of the distance or nearer
         if squared_distances(library, task.target)[row] < 0.25 * 2.0 * task.cost(guess):
-            return partial(cost_at, task), library.inputs[row].copy(), library.state[row]
-    return partial(step_towards, task, guess), inputs.copy(), guess.state
+            return partial(cost_at, task), TriedTensions(library.inputs[row], library.state[row])
+    return partial(step_towards, task, guess), present
 
 
 def squared_distances(library: ShapeBatch, target: Floats) -> Floats:

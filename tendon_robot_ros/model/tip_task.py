@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import Floats
-from ..common.errors import InputError, short
+from ..common.errors import InputError, number, refusal, short
 from ..robot import Robot
 from ..robot.inputs import finite
 from ..robot.keep_out import KeepOut
@@ -88,16 +88,11 @@ class Preferences:
     def __post_init__(self) -> None:
         """Refuse weights and margins out of their ranges."""
         for name in ('low_tension', 'stiffness', 'slack', 'limit', 'smooth'):
-            if not 0.0 <= getattr(self, name) <= 1e3:
-                raise InputError(
-                    f'{name}: expected a weight from 0 to 1000, got {getattr(self, name)}'
-                )
+            number(name, getattr(self, name), 0.0, 1e3)
         if not 0.0 <= self.stiffness_enough < np.inf:
-            raise InputError(
-                f'stiffness_enough: expected 0 N/m or more, got {self.stiffness_enough}'
-            )
+            raise refusal('stiffness_enough', '0 N/m or more', self.stiffness_enough)
         if not 0.0 < self.margin <= 0.5:
-            raise InputError(f'margin: expected more than 0 and at most 0.5, got {self.margin}')
+            raise refusal('margin', 'more than 0 and at most 0.5', self.margin)
 
 
 @dataclass(frozen=True)

@@ -110,8 +110,7 @@ def input_response(chain, inputs, bend, work, past, rows, central):
     if implicit:
         chain.residual(chain, inputs, bend, work, past, address(low))
         chain.respond(chain, bend, address(changes), m, work, past, address(rows), 0)
-    keep(changes)
-    keep(low)
+    keep(changes, low)
 
 
 @compiled
@@ -292,9 +291,7 @@ def path_slopes(robot, inputs, states, past, scratch, answers, by_tension, pulls
         chain.respond(chain, solver.bend, address(unit), size, solver.work, solver.past, rows, 0)
         remember_bends(chain, tension, solver.bend, solver.work, solver.past, solver.now)
         copy(solver.now.bend, solver.past.bend, memory_size(chain.n, chain.k, m))
-    keep(bends)
-    keep(unit)
-    keep(f)
+    keep(bends, unit, f)
 
 
 @entry()
@@ -342,9 +339,7 @@ def path_steps(robot, inputs, states, pulls, past, scratch, answers, by_tension,
                     states[b, q] += (inputs[b, j] - before[j]) * by_tension[b, j, q]
         remember_bends(chain, tension, bend, work, then, now)
         copy(now.bend, then.bend, memory_size(chain.n, k, m))
-    keep(f)
-    keep(wires)
-    keep(means)
+    keep(f, wires, means)
 
 
 @entry()

@@ -58,19 +58,13 @@ System.__name__ += '_' + __name__.partition('.')[0].rpartition('_')[2]
 
 
 @compiled
-def load_rows(chain):
-    """Return how many changes of the loads pass a cell: of torque, and of force at a place."""
-    if stages.push_acts(chain):
-        return 6
-    return 3 if loaded(chain) else 0
-
-
-@compiled
 def system_in(chain, count, start):
     """Lay the equations out from an address on, at which zeros stand."""
     kt = chain.k if stages.eyelet_acts(chain) else 0
     frame = kt + coordinates(chain)
-    loads = load_rows(chain)
+    loads = 0  # changes of the loads that pass a cell: of torque, and of force at a place
+    if loaded(chain):
+        loads = 6 if stages.push_acts(chain) else 3
     right = frame + loads
     width = right + count
     tensions = start + 8 * chain.n * (frame - kt) * width
@@ -507,6 +501,5 @@ def respond(chain, bend, rates, count, work, past, answers, pulls):
         for k in range(system.kt):
             follows = pulls + 8 * size * chain.n * k
             substitute(chain, system, derivatives, NONE, k, NONE, start, follows)
-    keep(tangent)
-    keep(memory)
+    keep(tangent, memory)
     return first

@@ -145,7 +145,7 @@ STEPS_MAX = np.int64(12)
 
 WORD, FLOAT = types.int64, types.float64
 CHAIN_KINDS: dict[str, Any] = dict.fromkeys(Chain._fields, WORD) | {'radius': FLOAT}
-CHAIN, _chain_from = record_type(Chain, CHAIN_KINDS)
+CHAIN, chain_at = record_type(Chain, CHAIN_KINDS)
 WORK_FIELDS = len(Work._fields)
 APART = ('tensions', 'frames', 'origins')  # of Work, may lie elsewhere
 WORK, work_from = record_type(Work, dict.fromkeys(Work._fields, WORD), APART)
@@ -259,14 +259,8 @@ def monotonic():
 
 
 @compiled
-def keep(array):
-    """Hold an array up to here whose address is in use: numba drops it after its last mention."""
-
-
-@compiled
-def chain_at(start):
-    """Chain whose fields lie one after the other at an address."""
-    return _chain_from(start)
+def keep(*arrays):
+    """Hold arrays up to here whose addresses are in use: numba drops what is mentioned no more."""
 
 
 @compiled
@@ -279,12 +273,6 @@ def memory_in(chain, start):
     moment = inputs + 8 * chain.m
     held = moment + 16 * n
     return Memory(start, sign, travel, inputs, moment, held, held + 48 * n)
-
-
-@compiled
-def with_results(work, tensions, frames, origins):
-    """Scratch whose tensions, frames and origins lie elsewhere."""
-    return work_from(work.at, tensions, frames, origins)
 
 
 @compiled

@@ -42,7 +42,6 @@ from .layout import (
     keep,
     memory_in,
     memory_size,
-    with_results,
     words,
     work_from,
     work_size,
@@ -236,11 +235,11 @@ def results_at(chain, block, count, b, work):
     pulls = origins + 24 * n * count
     means = pulls + 8 * k * count
     changes = means + 8 * m * count
-    output = with_results(
-        work, tensions + 8 * n * k * b, frames + 72 * (n * b - 1), origins + 24 * (n * b - 1)
+    output = work_from(
+        work.at, tensions + 8 * n * k * b, frames + 72 * (n * b - 1), origins + 24 * (n * b - 1)
     )
     row = (block + 8 * m * b, bends + 24 * n * b, pulls + 8 * k * b, means + 8 * m * b)
-    solving = with_results(work, output.tensions, work.frames, work.origins)
+    solving = work_from(work.at, output.tensions, work.frames, work.origins)
     return row, changes + 8 * b, solving, output
 
 
@@ -484,6 +483,5 @@ def ramped(chain, inputs, work, past, now, bend, before):
             at, length, known = end, end & -end, False  # the longest part that begins there
         else:
             length, known = length // 2, reached[middle] != 0
-    keep(nodes)
-    keep(reached)
+    keep(nodes, reached)
     return change

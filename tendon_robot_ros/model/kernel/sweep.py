@@ -270,14 +270,15 @@ def axial_moment_on(chain, work, i, loads):
     return about + floats(work.torque)[i] if loads else about
 
 
-@compiled
-def sweep(chain, inputs, guess, work, past, out, shaped):
+@entry()
+def step(chain, inputs, guess, work, past, out):
     """
-    State [rad] into `out` and work.tensions (n, k) [N] for input tensions (m,) [N].
+    One sweep: state [rad] into `out`, work.tensions (n, k) [N] for input tensions (m,) [N].
 
     Moment arms, loads, travel beyond and the neighbour's bend are those of the guess (`prepare`);
-    all else is new, so that without implicit effects the result is exact after one sweep. `shaped`
-    False: as if no effect needed the shape. work.half becomes that of the new bends.
+    all else is new, so that without implicit effects the result is exact after one sweep. With the
+    setting `SHAPED` 0 it goes as if no effect needed the shape. work.half becomes that of the new
+    bends.
 
     Parameters
     ----------
@@ -285,9 +286,11 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
         (m,) [N]; state [rad].
     out : address
         Takes the state [rad]; may be that of the guess.
-    shaped : bool
 
     """
+    shaped = floats(work.settings)[layout.SHAPED] != 0.0
+    if shaped and is_implicit(chain):
+        chain.prepare(chain, inputs, guess, work, past, out)
     load, bends, guesses, half = floats(work.load), floats(out), floats(guess), floats(work.half)
     flags = active_stages(chain, shaped)
     loads, linear, slip_rate = shaped and loaded(chain), is_linear(chain), slip_rate_in(work)
@@ -322,15 +325,6 @@ def sweep(chain, inputs, guess, work, past, out, shaped):
         for i in range(chain.n):  # as if no effect needed the shape no tendon leans
             about = axial_moment_on(chain, work, i, loads) if shaped else 0.0
             floats(out)[2 * chain.n + i] = twist_of(chain, i, about)
-
-
-@entry()
-def step(chain, inputs, guess, work, past, out):
-    """One sweep with everything that the guess decides."""
-    shaped = floats(work.settings)[layout.SHAPED] != 0.0
-    if shaped and is_implicit(chain):
-        chain.prepare(chain, inputs, guess, work, past, out)
-    sweep(chain, inputs, guess, work, past, out, shaped)
 
 
 @compiled
