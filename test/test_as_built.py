@@ -14,7 +14,7 @@ from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.patterns import Patterns
 from tendon_robot_ros.inference.fitter import Fitter
-from tendon_robot_ros.inference.imperfections import SplitPredictor, imperfections, planar_axis
+from tendon_robot_ros.inference.imperfections import BuiltPredictor, imperfections, planar_axis
 from tendon_robot_ros.inference.marginal import Likelihood, Prior, RandomEffects
 from tendon_robot_ros.inference.outliers import find_outliers
 from tendon_robot_ros.inference.predict import Predictor, free_parameters
@@ -77,7 +77,7 @@ def test_an_exact_description_knows_no_scatter():
 
 def test_a_cell_of_its_own_moves_the_markers_as_the_whole_model_does():
     predictor = Predictor(case('messy_s0'), case('messy_s0').robot, CATALOGUE)
-    split = SplitPredictor(predictor)
+    split = BuiltPredictor(predictor)
     np.testing.assert_allclose(split.markers({}), predictor.markers({}), atol=1e-12)
     n = split.robot.cells
     split.around = {'cell_kink': np.tile([1e-3, 0.0], n)}
@@ -94,7 +94,7 @@ def test_masses_beside_the_axis_are_those_of_the_cells():
     robot = replace(arms.wound(arms.spatial()), gravity=(0.0, 0.0, 9.81))
     robot = robot.with_effect('gravity', {'linear_density': 0.3})
     predictor = Predictor(measured(robot, count=3), robot, CATALOGUE)
-    shown = SplitPredictor(predictor).markers({})
+    shown = BuiltPredictor(predictor).markers({})
     np.testing.assert_allclose(shown, predictor.markers({}), atol=1e-12)
 
 
@@ -102,7 +102,7 @@ def test_masses_beside_the_axis_are_those_of_the_cells():
 @pytest.mark.parametrize('hidden', ['gravity', 'tendon_stiffness', 'axial_compression'])
 def test_slopes_of_imperfections_are_those_of_settled_shapes(name, hidden):
     dataset = case(name).select(case(name).postures[:4])
-    split = SplitPredictor(Predictor(dataset, dataset.robot, CATALOGUE))
+    split = BuiltPredictor(Predictor(dataset, dataset.robot, CATALOGUE))
     (free,) = free_parameters(CATALOGUE[hidden], split.robot)
     found = imperfections(split, {free: free.parameter.typical})
     first = {kind: list(np.flatnonzero(found.owners == k)) for k, kind in enumerate(found.kinds)}
@@ -125,7 +125,7 @@ def test_slopes_of_kinks_are_those_of_settled_shapes_where_tendons_feel_kinks(na
     robot = load_robot(ROBOTS / f'{name}.yaml')
     postures = default_postures(robot, 12, input=kind)
     plant = make_plant(robot, work=Workmanship(), seed=3)
-    split = SplitPredictor(
+    split = BuiltPredictor(
         Predictor(simulate(plant, postures, trials=1, seed=1, input=kind), robot, CATALOGUE)
     )
     n = sum(len(one) for one in split.kinds() if one.name == 'cell_kink')
@@ -146,7 +146,7 @@ def test_under_tensions_a_gain_counts_for_a_hole_off_its_place_too():
     """Without friction a tension and the radius at which it pulls act by their product alone."""
     dataset = case('messy_000')
     plain = replace(dataset.robot, effects={})
-    split = SplitPredictor(Predictor(dataset, plain, CATALOGUE))
+    split = BuiltPredictor(Predictor(dataset, plain, CATALOGUE))
     off, seen = np.array([0.02, -0.01]), []
     for kind in ('channel_gain', 'hole_radius'):
         split.around = {kind: off}
@@ -159,7 +159,7 @@ def test_under_tensions_a_gain_counts_for_a_hole_off_its_place_too():
     assert beside.pop('channel_gain') == 0.01
     assert not any(beside.values())
     known = replace(plain, tolerances={'channel_gain': 0.003})
-    kinds = SplitPredictor(Predictor(dataset, known, CATALOGUE)).kinds()
+    kinds = BuiltPredictor(Predictor(dataset, known, CATALOGUE)).kinds()
     assert {kind.name: kind.plausible for kind in kinds}['channel_gain'] == 0.003
     assert not any(kind.beside for kind in kinds), 'who declares gains has measured them so'
 
@@ -168,7 +168,7 @@ def test_the_noise_of_inputs_acts_on_the_arm_as_it_is_built():
     dataset = case('messy_000').select(case('messy_000').postures[:4])
     question, split = (
         Question.of(dataset, dataset.robot, CATALOGUE),
-        SplitPredictor(Predictor(dataset, dataset.robot, CATALOGUE)),
+        BuiltPredictor(Predictor(dataset, dataset.robot, CATALOGUE)),
     )
     n, seen = split.robot.cells, []
     members = {'cell_kink': np.full(n, 0.05), 'channel_gain': np.array([0.2, 0.1])}
@@ -294,7 +294,7 @@ def test_where_friction_does_not_turn_over_a_fit_stays_as_it_is(name):
 def small():
     """Return random effects of two kinds, with a residual drawn from them."""
     random = np.random.default_rng(4)
-    split = SplitPredictor(Predictor(case('messy_000'), case('messy_000').robot, CATALOGUE))
+    split = BuiltPredictor(Predictor(case('messy_000'), case('messy_000').robot, CATALOGUE))
     found = imperfections(split, {})
     columns = random.normal(size=(300, len(found.owners)))
     return RandomEffects(columns, found.owners, found.kinds), random

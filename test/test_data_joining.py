@@ -14,7 +14,7 @@ from tendon_robot_ros.comparison.compare import compare, equilibria
 from tendon_robot_ros.data import join, load_dataset, save_dataset
 from tendon_robot_ros.data.dataset import EarlierRecording
 from tendon_robot_ros.diagnosis.add import add_effects
-from tendon_robot_ros.inference.imperfections import SplitPredictor, imperfections
+from tendon_robot_ros.inference.imperfections import BuiltPredictor, imperfections
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.model.model import Model
 
@@ -97,7 +97,7 @@ def test_imperfections_move_each_data_set_as_they_move_it_alone():
     free = replace(free, gravity=(9.81, 0.0, 0.0))
     weighed = replace(weighed, gravity=(0.0, 0.0, -9.81))
     joined, *alone = (
-        imperfections(SplitPredictor(Predictor(data, heavy, simulated.CATALOGUE)), {})
+        imperfections(BuiltPredictor(Predictor(data, heavy, simulated.CATALOGUE)), {})
         for data in (join([free, weighed]), free, weighed)
     )
     own = joined.owners < len(joined.kinds) - 1  # the remainder is another one in every posture

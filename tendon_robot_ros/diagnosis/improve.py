@@ -39,7 +39,7 @@ from ..inference.crossval import (
 from ..inference.description import OF_THE_ARM, WRITABLE_KINDS, route_changes, stiffness_change
 from ..inference.fit import Fit, covariance_root
 from ..inference.fitter import FAILURES
-from ..inference.imperfections import POSITION, ROTATION, SplitPredictor, imperfections
+from ..inference.imperfections import POSITION, ROTATION, BuiltPredictor, imperfections
 from ..inference.intervals import QUANTILE, LoadVector, Value, loads_of, values_of
 from ..inference.predict import FreeParameter, Predictor
 from ..inference.session import Question, Session
@@ -115,7 +115,7 @@ class AsFound:
             for free, value in zip(frees, fit.values[own] - step[:k], strict=True)
         }
         robot = search.written(state)
-        arm = SplitPredictor(Predictor(search.dataset, robot, search.catalogue))
+        arm = BuiltPredictor(Predictor(search.dataset, robot, search.catalogue))
         arm.around = {
             kind.name: -(spread * step[k:])[built.owners == i]
             for i, kind in enumerate(built.kinds)
@@ -204,7 +204,7 @@ def as_found(search: Stepwise, state: State) -> AsFound | None:
     names = [name for block in state.blocks for name in block.names if name not in OF_THE_ARM]
     frame = [free for free in state.fit.frees if free.parameter.tolerance in FRAME]
     if frame and not set(FRAME) & set(before.tolerances):
-        sizes = {kind.name: kind.plausible for kind in SplitPredictor(search.predictor).kinds()}
+        sizes = {kind.name: kind.plausible for kind in BuiltPredictor(search.predictor).kinds()}
         moved = [state.fit.point[free] - search.predictor.value(free) for free in frame]
         usual = [sizes[free.parameter.tolerance] for free in frame]
         name = frame[0].effect
@@ -483,7 +483,7 @@ class Searched:
         """Return the places where the improved description misfits by more than the remainder."""
         if self.arm is not None and self.arm_written:
             return tuple(faults_of(self.arm.session, self.arm.fit))
-        as_built = imperfections(SplitPredictor(predictor), {})
+        as_built = imperfections(BuiltPredictor(predictor), {})
         if as_built is None:
             return ()
         final, freedom = self.states[self.taken], self.search.noise.freedom

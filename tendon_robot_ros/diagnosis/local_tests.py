@@ -30,9 +30,9 @@ from ..inference.imperfections import (
     HOLE,
     KINK,
     ZERO,
+    BuiltPredictor,
     Imperfections,
     Kind,
-    SplitPredictor,
     imperfections,
 )
 from ..inference.intervals import QUANTILE
@@ -127,7 +127,7 @@ def faults_of(session: Session, fit: Fit) -> list[dict[str, Any]]:
     """Return the local faults of a fit in a session that was weighed there, as plain data."""
     own: Imperfections | None = session.imperfections
     if session.robot.exact or not fit.members:  # any may be off, or have changed
-        own = imperfections(SplitPredictor(session.predictor), fit.point, changed=True)
+        own = imperfections(BuiltPredictor(session.predictor), fit.point, changed=True)
     if own is None:
         return []
     faults = local_faults(own.kinds, own.moves, session.whitener, fit, session.freedom)

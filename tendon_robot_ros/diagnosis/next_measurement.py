@@ -13,7 +13,7 @@ from ..common.arrays import Floats
 from ..data import DataSet
 from ..inference.candidates import Ranked
 from ..inference.fit import Fit
-from ..inference.imperfections import SplitPredictor, member_moves
+from ..inference.imperfections import BuiltPredictor, member_moves
 from ..inference.noise import Whitener, input_slopes
 from ..inference.predict import Predictor, slope
 from ..inference.session import NEAR_SCORE, Session, predictors_of
@@ -155,7 +155,7 @@ def _predicted(arm: Predictor, fit: Fit) -> Known | None:
         return None
     columns = []  # (P, J, 3) by each fitted parameter
     moves, kinds = np.zeros((0, *markers.shape)), fit.built.kinds[:-1]
-    if kinds and isinstance(arm, SplitPredictor):  # the last kind is new in every posture
+    if kinds and isinstance(arm, BuiltPredictor):  # the last kind is new in every posture
         mixtures = block_diag(*fit.built.random.mixtures[:-1])
         sizes = fit.built.sizes[fit.built.random.owners][: mixtures.shape[1]]
         moves = np.tensordot((mixtures * sizes).T, member_moves(arm, fit.point, kinds), 1)

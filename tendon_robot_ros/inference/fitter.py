@@ -43,7 +43,7 @@ class Fitter:
     Parameters
     ----------
     predictor : Predictor
-        A `SplitPredictor` for an arm as built.
+        A `BuiltPredictor` for an arm as built.
     whitener : Whitener
     nuisances : sequence of Nuisance
     random : RandomEffects, optional

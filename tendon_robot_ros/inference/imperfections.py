@@ -3,8 +3,7 @@ Undeclared imperfections of an arm as built, the model of an arm with them, and 
 
 Cells scatter in stiffness or are kinked at rest, tensions, holes and the frame of the tracker
 deviate a little. Imperfections are the same in every posture. A cell (or tendon) is a column: the
-derivative of all markers by its imperfection. `SplitPredictor` predicts an arm in which every cell
-and tendon has its own imperfection.
+derivative of all markers by its imperfection.
 """
 
 from __future__ import annotations
@@ -118,7 +117,7 @@ def planar_axis(robot: Robot) -> int | None:
     return 0 if flat[1] else 1 if flat[0] else None
 
 
-class SplitPredictor(Predictor):
+class BuiltPredictor(Predictor):
     """A predictor of the arm with the imperfections `around`; without any, as described."""
 
     def __init__(self, predictor: Predictor) -> None:
@@ -230,30 +229,30 @@ class SplitPredictor(Predictor):
 
 
 def imperfections(
-    split: Predictor, point: Point, at: Members | None = None, changed: bool = False
+    arm: Predictor, point: Point, at: Members | None = None, changed: bool = False
 ) -> Imperfections | None:
     """
     Return the kinds and slopes of imperfections at a point, linearised around given ones (`at`).
 
     Of two recordings of an arm both have the same ones, which cancel; what remains is how far its
     deviations themselves have changed, which may be as much as they are. With `changed`,
-    imperfections may be new. An arm that is no `SplitPredictor` is exact: it has none of any kind.
+    imperfections may be new. An arm that is no `BuiltPredictor` is exact: it has none of any kind.
     None where the model has no equilibrium.
     """
-    if not isinstance(split, SplitPredictor):
-        return Imperfections.none(split.dataset)
-    reference = split.dataset.reference
-    kinds, split.around = split.kinds(changed) if reference is None or changed else (), at or {}
-    if split.markers(point) is None:
+    if not isinstance(arm, BuiltPredictor):
+        return Imperfections.none(arm.dataset)
+    reference = arm.dataset.reference
+    kinds, arm.around = arm.kinds(changed) if reference is None or changed else (), at or {}
+    if arm.markers(point) is None:
         return None
-    moves = member_moves(split, point, kinds)
-    columns = remainders(split)
+    moves = member_moves(arm, point, kinds)
+    columns = remainders(arm)
     allowed = 0.0 if reference is None else reference.error / np.sqrt(3.0)
     rest = Kind(REMAINDER, 'm', np.inf, tuple(map(str, range(len(columns)))), allowed=allowed)
     return Imperfections((*kinds, rest), np.concatenate([moves, columns]))
 
 
-def member_moves(split: SplitPredictor, point: Point, kinds: Sequence[Kind]) -> Floats:
+def member_moves(arm: BuiltPredictor, point: Point, kinds: Sequence[Kind]) -> Floats:
     """
     Return the slopes (q, P, J, 3) [m per unit] of the markers by all members of kinds.
 
@@ -261,13 +260,11 @@ def member_moves(split: SplitPredictor, point: Point, kinds: Sequence[Kind]) -> 
     """
     named = [(kind.name, i, len(kind)) for kind in kinds for i in range(len(kind))]
     if not named:
-        return np.empty((0, len(split.inputs), len(split.dataset.markers), 3))
-    if split.model.friction_remembers or split.carries:
-        return _differences(split, point, named)
-    split.around = {k.name: np.zeros(len(k)) + split.around.get(k.name, 0.0) for k in kinds}
-    return _slopes(
-        split, point, lambda part: [split.member(name, i, part) for name, i, _ in named]
-    )
+        return np.empty((0, len(arm.inputs), len(arm.dataset.markers), 3))
+    if arm.model.friction_remembers or arm.carries:
+        return _differences(arm, point, named)
+    arm.around = {k.name: np.zeros(len(k)) + arm.around.get(k.name, 0.0) for k in kinds}
+    return _slopes(arm, point, lambda part: [arm.member(name, i, part) for name, i, _ in named])
 
 
 def pushes(predictor: Predictor, point: Point, arc_lengths: Floats) -> Floats | None:
@@ -311,32 +308,32 @@ def forces_along(
     return slopes.reshape(-1, 3, *slopes.shape[1:])
 
 
-def _slopes(split: Predictor, point: Point, moves: Callable[[Conditions], list[Move]]) -> Floats:
+def _slopes(arm: Predictor, point: Point, moves: Callable[[Conditions], list[Move]]) -> Floats:
     """Return derivatives (q, P, J, 3) of the markers at the settled postures, by moves."""
-    assert split.settled is not None
-    return split.tangent_by(moves, point, split.settled).markers
+    assert arm.settled is not None
+    return arm.tangent_by(moves, point, arm.settled).markers
 
 
 def _differences(
-    split: SplitPredictor, point: Point, named: Sequence[tuple[str, int, int]]
+    arm: BuiltPredictor, point: Point, named: Sequence[tuple[str, int, int]]
 ) -> Floats:
     """Return central differences (q, P, J, 3) of the markers by members of kinds."""
-    near, at = split.settled, split.around
+    near, at = arm.settled, arm.around
     assert near is not None
-    predict: Callable[[], Floats | None] = partial(split.markers, point, near=near)
-    if not split.model.friction_remembers and split.visits is None:
-        along = split.along_path(point, near)
+    predict: Callable[[], Floats | None] = partial(arm.markers, point, near=near)
+    if not arm.model.friction_remembers and arm.visits is None:
+        along = arm.along_path(point, near)
 
         def predict() -> Floats:
             return along(point)[0]
 
-    moves, zero = [], np.zeros((len(split.inputs), len(split.dataset.markers), 3))
+    moves, zero = [], np.zeros((len(arm.inputs), len(arm.dataset.markers), 3))
     for name, i, count in named:
         step, centre, sides = PLAUSIBLE_SIZES[name][2], at.get(name, np.zeros(count)), []
         for side in (step, -step):
-            split.around = {**at, name: centre + side * np.eye(count)[i]}
+            arm.around = {**at, name: centre + side * np.eye(count)[i]}
             sides.append(predict())
         up, down = sides
         moves.append(zero if up is None or down is None else (up - down) / (2.0 * step))
-    split.around = at
+    arm.around = at
     return np.array(moves)

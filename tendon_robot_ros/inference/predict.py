@@ -203,7 +203,7 @@ class Predictor:
         self.visits = None if dataset.visits is None else dataset.visits.masked(dataset.trial_mask)
         self._shown = (dataset.trials > 0) | (dataset.thinned_from == 0)
         self._shown[[part.rows[0] for part in self.parts]] = True  # for those behind it
-        self.around: Mapping[str, Floats] = {}  # imperfections by kind; see `SplitPredictor`
+        self.around: Mapping[str, Floats] = {}  # imperfections by kind; see `BuiltPredictor`
         self.settled: SettledShapes | None = None  # of the last prediction
         self._first: SettledShapes | None = None
 

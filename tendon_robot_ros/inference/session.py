@@ -20,7 +20,7 @@ from ..robot.estimates import natural_sizes
 from .candidates import Candidate, Ranked, candidates_of, gain_p_value, is_tested, nuisances_of
 from .fit import Fit, Nuisance
 from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
-from .imperfections import REMAINDER, Imperfections, Members, SplitPredictor, imperfections
+from .imperfections import REMAINDER, BuiltPredictor, Imperfections, Members, imperfections
 from .marginal import RandomEffects
 from .noise import Noise, Whitener, estimate_noise, input_slopes, relative_error
 from .outliers import Outliers, find_outliers, without_unsettled
@@ -217,7 +217,7 @@ def predictors_of(
     """Return a predictor, and one with the imperfections that the arm may have."""
     predictor = Predictor(dataset, robot, catalogue)
     scatters = not robot.exact or robot.tolerances.get(CELLS) or dataset.reference is not None
-    return predictor, SplitPredictor(predictor) if scatters else predictor
+    return predictor, BuiltPredictor(predictor) if scatters else predictor
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,7 +33,7 @@ from ..diagnosis.next_measurement import as_if_measured
 from ..diagnosis.stepwise import PRIOR_TYPICALS
 from ..effects import Catalogue
 from ..inference.candidates import nuisances_of
-from ..inference.imperfections import SplitPredictor, member_moves
+from ..inference.imperfections import BuiltPredictor, member_moves
 from ..inference.noise import Noise, Whitener, input_slopes
 from ..inference.predict import FreeParameter, Point, Predictor, frees_of
 from ..model.model import Model
@@ -257,7 +257,7 @@ class LinearDesign:
             for n in nuisances_of(self.robot, self.catalogue, predictor)
         ]
         if not self.robot.exact:
-            slopes += self._as_built(SplitPredictor(predictor))
+            slopes += self._as_built(BuiltPredictor(predictor))
         whitener = Whitener(dataset, self.question.noise, input_slopes(predictor, point))
         white = whitener.white(np.array(slopes))
         return [white[:, whitener.owners == p].T for p in range(len(markers))]
@@ -288,13 +288,13 @@ class LinearDesign:
                 return (moved - markers) / step
         return np.zeros_like(markers)
 
-    def _as_built(self, split: SplitPredictor) -> list[Floats]:
+    def _as_built(self, arm: BuiltPredictor) -> list[Floats]:
         """Return the displacement (P, J, 3) [m] by each imperfection of a plausible size."""
-        if split.markers(self.question.point) is None:
+        if arm.markers(self.question.point) is None:
             return []
-        kinds = split.kinds(every=False)
+        kinds = arm.kinds(every=False)
         sizes = np.repeat([kind.plausible for kind in kinds], [len(kind) for kind in kinds])
-        moves = member_moves(split, self.question.point, kinds)
+        moves = member_moves(arm, self.question.point, kinds)
         return list(moves * sizes[:, None, None, None])
 
 

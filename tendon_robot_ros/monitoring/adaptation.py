@@ -385,7 +385,7 @@ class Adaptation:
             return False
         try:
             expected = arm.expected(tensions, point)
-            moved = slopes(arm.whole, point, frees, np.maximum(tensions, 0.0)[None])
+            moved = slopes(arm.described, point, frees, np.maximum(tensions, 0.0)[None])
         except NoEquilibriumError:
             return False
         own = moved[0] * [one.spread for one in self._adaptable]
@@ -429,7 +429,7 @@ class Adaptation:
         """Return the rms error [m] of the markers over the last postures; inf: no equilibrium."""
         squares = []
         for tensions, positions in self._recent:
-            markers = self._arm.whole.markers(point, np.maximum(tensions, 0.0)[None])
+            markers = self._arm.described.markers(point, np.maximum(tensions, 0.0)[None])
             if markers is None:
                 return float('inf')
             squares.append(((markers[0] - positions) ** 2).sum(axis=1))

@@ -107,8 +107,8 @@ class BuiltArm:
         now = DataSet(
             'now', robot, tuple(markers), ('now',), inputs, unseen, gravity=robot.gravity
         )
-        self.whole = Predictor(now, robot, self.catalogue)
-        self.split = imperfections.SplitPredictor(self.whole)
+        self.described = Predictor(now, robot, self.catalogue)
+        self.predictor = imperfections.BuiltPredictor(self.described)
         seen = Predictor(replace(now, positions=np.zeros_like(unseen)), robot, self.catalogue)
         rest = imperfections.remainders(seen).reshape(-1, 3 * len(markers))
         self._rest = rest.T @ rest  # (3 J, 3 J) of a remainder of 1 m sd at the tip
@@ -120,7 +120,7 @@ class BuiltArm:
         self.excluded: tuple[int, ...] = ()  # indices of misread references
         self.widening = 1.0  # factor on the predicted variances
         self.response = 0.0  # known error relative to what the tip moves [1]
-        self.kinds = self.split.kinds()
+        self.kinds = self.predictor.kinds()
         counts, scale = [len(kind) for kind in self.kinds], self.level or 1.0
         self.plausible = scale * np.repeat([k.plausible for k in self.kinds], counts)  # (q,) 1 sd
         self.built = len(self.plausible)  # states that are imperfections, the first ones
@@ -157,7 +157,7 @@ class BuiltArm:
         inputs = np.maximum(tensions, SLACK_N)[None]
         shapes = self.shapes(inputs, point or {})
         beside, columns = self._beside(inputs), self.columns(inputs, point or {})
-        markers = self.split.see(shapes).ravel()
+        markers = self.predictor.see(shapes).ravel()
         bent = self._bent(inputs, markers, columns, beside)
         return Expected(markers + self.lacked(columns), np.hstack([columns, bent]))
 
@@ -178,12 +178,12 @@ class BuiltArm:
         """
         steps = np.diag(self._kinked)
         steps = np.vstack([steps, -steps, 0.5 * steps, -0.5 * steps])
-        arriving = self.split.given(inputs)
+        arriving = self.predictor.given(inputs)
         varied = np.maximum(arriving + steps, 0.0)
-        shapes = self.split.shapes(varied, None) if steps.any() else None
+        shapes = self.predictor.shapes(varied, None) if steps.any() else None
         if shapes is None:
             return None
-        return varied - arriving, self.split.see(shapes).reshape(len(varied), -1)
+        return varied - arriving, self.predictor.see(shapes).reshape(len(varied), -1)
 
     def _bent(
         self, inputs: Floats, markers: Floats, columns: Floats, near: tuple[Floats, Floats] | None
@@ -206,8 +206,8 @@ class BuiltArm:
         self, inputs: Floats, point: Point, near: SettledShapes | None = None
     ) -> ShapeBatch:
         """Return shapes under tensions (1, m) [N] with the estimated imperfections."""
-        self.split.around = self.members
-        ((_, shapes),) = self.split.settle(point, self.split.given(inputs), near=near)
+        self.predictor.around = self.members
+        ((_, shapes),) = self.predictor.settle(point, self.predictor.given(inputs), near=near)
         return solved(shapes)
 
     def forget(self) -> None:
@@ -272,7 +272,8 @@ class BuiltArm:
             counts = ~contradicted(references, counts)
         self.excluded = tuple(np.flatnonzero(~counts).tolist())
         seen = np.isfinite(positions[counts]).all(axis=2).any(axis=0)
-        tip = int(np.argmax(np.where(seen, self.whole.dataset.arc_lengths, -1.0)))  # or near it
+        arc_lengths = self.described.dataset.arc_lengths
+        tip = int(np.argmax(np.where(seen, arc_lengths, -1.0)))  # or near it
         self.response = relative_error(self.robot.model_error or 0.0, positions[counts, tip])
         scores = self._follow(tensions[counts], positions[counts], frames)
         self.widening = widening(scores[len(scores) // 3 :])
@@ -356,13 +357,13 @@ class BuiltArm:
 
     def columns(self, inputs: Floats, point: Point) -> Floats:
         """Return the motion of the markers (3 J, q + n) [m] by states of plausible size."""
-        self.split.inputs = inputs
-        return np.asarray(self.moved(self.split, point)[0])
+        self.predictor.inputs = inputs
+        return np.asarray(self.moved(self.predictor, point)[0])
 
-    def moved(self, split: imperfections.SplitPredictor, point: Point) -> Floats:
+    def moved(self, arm: imperfections.BuiltPredictor, point: Point) -> Floats:
         """Return the motion of the markers (P, 3 J, q + n) [m] by states of plausible size."""
-        responses = solved(imperfections.imperfections(split, point, self.members, changed=True))
-        slope, half, whole = differences(split, point, self.frees, (DIFFERENCE_STEP, 0.5, 1.0))
+        responses = solved(imperfections.imperfections(arm, point, self.members, changed=True))
+        slope, half, whole = differences(arm, point, self.frees, (DIFFERENCE_STEP, 0.5, 1.0))
         built = responses.moves[: self.built].reshape(self.built, *slope.shape[1:])
         left = 0.5 * (half - slope) - 0.25 * (whole - slope)
         moves = np.concatenate([built, slope, whole - slope, left])

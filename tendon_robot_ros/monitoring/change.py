@@ -31,7 +31,7 @@ from ..common.arrays import Bools, Floats
 from ..common.errors import NoEquilibriumError
 from ..common.estimation import gauss_newton
 from ..common.words import digits, mm, spoken, with_unit
-from ..inference.imperfections import GAIN, Kind, SplitPredictor
+from ..inference.imperfections import GAIN, BuiltPredictor, Kind
 from ..inference.intervals import load_of, vector_rows
 from ..inference.marginal import RandomEffects
 from ..inference.outliers import TRIALS_MIN
@@ -189,17 +189,17 @@ class ChangeWork:
     ) -> None:
         self.arm, self.positions, self.frames = arm, positions, frames
         self.rows = np.isfinite(positions)
-        P, J = len(tensions), len(arm.split.dataset.markers)
+        P, J = len(tensions), len(arm.predictor.dataset.markers)
         dataset = replace(
-            arm.split.dataset,
+            arm.predictor.dataset,
             postures=tuple(map(str, range(P))),
             inputs=tensions,
             positions=np.full((P, 1, J, 3), np.nan),
         )
-        self.split = SplitPredictor(Predictor(dataset, arm.robot, arm.catalogue))
-        self.split.around, self.lacked = arm.members, np.zeros((P, 3 * J))
+        self.predictor = BuiltPredictor(Predictor(dataset, arm.robot, arm.catalogue))
+        self.predictor.around, self.lacked = arm.members, np.zeros((P, 3 * J))
         expected = self._markers({})
-        self.columns = arm.moved(self.split, {})
+        self.columns = arm.moved(self.predictor, {})
         self.lacked = arm.lacked(self.columns)
         self.expected = expected + self.lacked
         self.weights = _Weights(arm, self.rows, frames, self.columns)
@@ -211,7 +211,7 @@ class ChangeWork:
     def fit_around(self, fit: ChangeFit) -> ChangeFit | None:
         """Refit an effect, with the imperfections linearised at its value."""
         with suppress(NoEquilibriumError):
-            columns = self.arm.moved(self.split, self._point(fit.change, fit.values))
+            columns = self.arm.moved(self.predictor, self._point(fit.change, fit.values))
             there = copy(self)
             there.weights = _Weights(self.arm, self.rows, self.frames, columns)
             return there._effect(fit.change, fit.values)
@@ -238,7 +238,7 @@ class ChangeWork:
             moved = self._slopes_of_members(fit.change)
             return self.expected + moved @ fit.values, moved
         point = self._point(fit.change, fit.values)
-        return self._markers(point), slopes(self.split, point, fit.change.frees)
+        return self._markers(point), slopes(self.predictor, point, fit.change.frees)
 
     def apart(
         self, one: tuple[Floats, Floats], other: tuple[Floats, Floats], information: Floats
@@ -265,14 +265,14 @@ class ChangeWork:
     def _effect(self, change: PossibleChange, start: Floats | None = None) -> ChangeFit | None:
         """Fit an effect by damped Gauss-Newton within its bounds."""
         frees, weights = change.frees, self.weights
-        described = np.array([self.split.value(free) for free in frees])
+        described = np.array([self.predictor.value(free) for free in frees])
         low, high = np.array([(f.parameter.low, f.parameter.high) for f in frees]).T - described
 
         def residual_of(values: Floats) -> Floats:
             return weights.white(self.positions - self._markers(self._point(change, values)))
 
         def columns_of(values: Floats, white: Floats) -> Floats:
-            return weights.white(slopes(self.split, self._point(change, values), frees))
+            return weights.white(slopes(self.predictor, self._point(change, values), frees))
 
         start = np.zeros(len(frees)) if start is None else start
         with suppress(NoEquilibriumError):
@@ -295,10 +295,10 @@ class ChangeWork:
 
     def _point(self, change: PossibleChange, values: Floats) -> Point:
         own = zip(change.frees, values.tolist(), strict=True)
-        return {free: self.split.value(free) + value for free, value in own}
+        return {free: self.predictor.value(free) + value for free, value in own}
 
     def _markers(self, point: Point) -> Floats:
-        return solved(self.split.markers(point)).reshape(self.lacked.shape) + self.lacked
+        return solved(self.predictor.markers(point)).reshape(self.lacked.shape) + self.lacked
 
     def _slopes_of_members(self, change: PossibleChange) -> Floats:
         """Return the Jacobian of the markers by imperfections (P, 3 J, k), per unit."""
@@ -358,7 +358,7 @@ class ChangeFinder:
         if not len(probabilities) or (probabilities[0] > 1.0 - SIGNIFICANCE and not few):
             return None
         likely = np.flatnonzero(probabilities > RARE).tolist()
-        blank = np.zeros((len(offered), self.arm.split.dataset.positions.shape[2] * 3))
+        blank = np.zeros((len(offered), self.arm.predictor.dataset.positions.shape[2] * 3))
         usual = self.postures[-1][2] if self.postures else 1
         frames = (usual,) * len(offered)
         try:

@@ -101,7 +101,7 @@ class ContactObserver:
         named = {free.parameter.name: free for free in frees}
         self._frees = [named[f'force_{xyz}'] for xyz in 'xyz']
         self._place = named.get('arc_length')
-        self._described = np.array([arm.whole.value(free) for free in self._frees])
+        self._described = np.array([arm.described.value(free) for free in self._frees])
         self._typical = self._frees[0].parameter.typical
         self._last = np.zeros(3), self.tip
         self.shapes: ShapeBatch | None = None  # the last one, start of the next equilibrium
@@ -163,7 +163,7 @@ class ContactObserver:
         point, last = self.point(force, place), self.shapes
         near = None if last is None else SettledShapes(last.inputs, last.state)
         self.shapes = shapes = self.arm.shapes(inputs, point, near)
-        return self.arm.split.see(shapes).ravel() if markers else np.array(shapes.pulls[0])
+        return self.arm.predictor.see(shapes).ravel() if markers else np.array(shapes.pulls[0])
 
     def along(self, force: Floats, place: float, inputs: Floats) -> Floats | None:
         """
@@ -171,13 +171,13 @@ class ContactObserver:
 
         None where the place is not sought, or the arm has no slopes.
         """
-        split, point = self.arm.split, self.point(force, place)
-        split.inputs = inputs
-        if self._place is None or split.model.remembers or split.markers(point) is None:
+        predictor, point = self.arm.predictor, self.point(force, place)
+        predictor.inputs = inputs
+        if self._place is None or predictor.model.remembers or predictor.markers(point) is None:
             return None
-        assert split.settled is not None
+        assert predictor.settled is not None
         ends = np.append(0.0, np.cumsum(self.arm.robot.cell_lengths))
-        slopes = forces_along(split, point, self.effect, self.step, ends[1:])
+        slopes = forces_along(predictor, point, self.effect, self.step, ends[1:])
         at_ends = slopes.reshape(len(ends) - 1, 3, -1).swapaxes(1, 2)
         at_ends = np.concatenate([np.zeros_like(at_ends[:1]), at_ends])
         # within a cell both ends carry as much as they are near
@@ -187,7 +187,7 @@ class ContactObserver:
         """Return the point (3,) [m] of the last predicted arm at an arc length."""
         assert self.shapes is not None
         there = self.shapes.markers(np.array([place]), np.zeros((1, 3)))
-        return np.asarray(self.arm.split.model.measured(there)[0, 0])
+        return np.asarray(self.arm.predictor.model.measured(there)[0, 0])
 
     @property
     def places(self) -> Floats:

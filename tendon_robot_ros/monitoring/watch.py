@@ -234,9 +234,9 @@ class DriftAlarm:
 
     def _signatures(self, tensions: Floats, built: Floats) -> Floats:
         """Return the motion of the markers by a unit of every change, (3 J, c) [m per unit]."""
-        whole = self.arm.whole
-        whole.inputs = np.maximum(tensions, 0.0)[None]
-        moves = differences(whole, {}, self._frees)
+        described = self.arm.described
+        described.inputs = np.maximum(tensions, 0.0)[None]
+        moves = differences(described, {}, self._frees)
         members = [change.members for change in self._changes]  # after all effects
         own = [built[:, place] / self.arm.plausible[place] for place in members]
         return np.column_stack([*moves[0, :, 0], *own])
@@ -262,7 +262,7 @@ def dump_change(finder: ChangeFinder) -> str:
         'robot': dump_robot(arm.robot),
         'markers': [
             [m.name, m.arc_length, np.asarray(m.offset).tolist()]
-            for m in arm.split.dataset.markers
+            for m in arm.predictor.dataset.markers
         ],
         'noise': arm.noise,
         'level': arm.level,

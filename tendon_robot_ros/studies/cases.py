@@ -12,7 +12,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..data import DataSet, Marker, even_markers
 from ..effects import Catalogue
-from ..inference.imperfections import SplitPredictor, imperfections
+from ..inference.imperfections import BuiltPredictor, imperfections
 from ..inference.marginal import RandomEffects
 from ..inference.noise import Whitener, estimate_noise, input_slopes
 from ..inference.predict import Predictor
@@ -236,7 +236,7 @@ def is_visible(case: Case, sim: Simulated) -> bool:
         return True
     whitener = Whitener(sim.fit, noise, slopes)
     white = whitener.white(after - markers)
-    built = None if case.exact else imperfections(SplitPredictor(before), {})
+    built = None if case.exact else imperfections(BuiltPredictor(before), {})
     if built is None:
         return float(white @ white) > VISIBLE_FROM_CHI2
     random = RandomEffects(whitener.white(built.moves).T, built.owners, built.kinds)
