@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import yaml
 
@@ -51,6 +51,14 @@ def parse_yaml(text: str, refuse: Callable[[str], Exception] = ValueError) -> An
     Where that fails, what `refuse` makes of the reason, on one line, is raised.
     """
     try:
+        return _parsed(text)
+    except (yaml.YAMLError, ValueError) as error:  # a date such as 2000-99-99 is a ValueError
+        raise refuse(' '.join(str(error).split())) from None
+
+
+def _parsed(text: str) -> Any:
+    """Read YAML text; a ValueError names the line of a mistake."""
+    try:
         return yaml.load(text, Loader=_Plain)
     except yaml.MarkedYAMLError as refused:
         error = refused
@@ -60,9 +68,7 @@ def parse_yaml(text: str, refuse: Callable[[str], Exception] = ValueError) -> An
             except yaml.MarkedYAMLError as explained:
                 error = explained
         line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise refuse(f'line {line}: {error.problem}') from None
-    except (yaml.YAMLError, ValueError) as error:  # a date such as 2000-99-99 is a ValueError
-        raise refuse(' '.join(str(error).split())) from None
+        raise ValueError(f'line {line}: {error.problem}') from None
 
 
 def dump_yaml(content: Any) -> str:
@@ -79,6 +85,8 @@ def read_yaml(path: Path, refuse: Callable[[str], TendonRobotError]) -> Any:
 class Reader:
     """A mapping of a description file, with the path of keys that leads to it."""
 
+    refusal: ClassVar[type[TendonRobotError] | None] = None  # of files that are no description
+
     def __init__(self, source: str, path: str, content: Any) -> None:
         """Refuse what is no mapping."""
         self.source, self.path = source, path
@@ -90,7 +98,10 @@ class Reader:
 
     def error(self, key: str, expected: str, got: object) -> TendonRobotError:
         """Build the error for a key of this mapping; other files have another class for it."""
-        return RobotDescriptionError(self.source, self._where(key), expected, got)
+        where = self._where(key)
+        if self.refusal is None:
+            return RobotDescriptionError(self.source, where, expected, got)
+        return self.refusal(f'{self.source}: {where}: expected {expected}, got {short(got)}')
 
     def has(self, key: str) -> bool:
         """Return whether a key is present and not empty."""
@@ -237,10 +248,7 @@ class Reader:
 class ConfigFields(Reader):
     """Checked reading of the configuration."""
 
-    def error(self, key: str, expected: str, got: object) -> DriverError:
-        """Build the error for a key."""
-        where = self._where(key)
-        return DriverError(f'{self.source}: {where}: expected {expected}, got {short(got)}')
+    refusal = DriverError
 
     def value(self, key: str, default: float, low: float, high: float, unit: str) -> float:
         """Return a number, or the default when absent."""

@@ -116,16 +116,17 @@ def hinges(model: Model, laws: Laws) -> Iterator[Hinge]:
     heavy = any(e.stage == 'load' for e in laws.acting)
     # a mass is the same wherever down is
     gravity = robot.gravity if robot.gravity and any(robot.gravity) else (0.0, 0.0, -1.0)
-    for i, row in enumerate(model.arrays.cells):
-        length, stiffness, mass_length, is_hinge, section, tendons, *beside = row.tolist()
-        (stiffness,) = laws('stiffness', (stiffness,), tendons, section=int(section))
-        rest = laws('rest', (0.0, 0.0), section=int(section))
-        (twist,) = laws('torsion', (0.0,), 1.0, stiffness, section=int(section))
+    sections = np.repeat(np.arange(len(robot.sections)), [s.cells for s in robot.sections])
+    for i, (row, section) in enumerate(zip(model.arrays.cells, sections.tolist(), strict=True)):
+        length, stiffness, mass_length, is_hinge, tendons, *beside = row.tolist()
+        (stiffness,) = laws('stiffness', (stiffness,), tendons, section=section)
+        rest = laws('rest', (0.0, 0.0), section=section)
+        (twist,) = laws('torsion', (0.0,), 1.0, stiffness, section=section)
         mass = DENSITY * length
         if heavy:
-            force = laws('load', (0.0, 0.0, 0.0), mass_length, *gravity, section=int(section))
+            force = laws('load', (0.0, 0.0, 0.0), mass_length, *gravity, section=section)
             mass = math.hypot(*force) / math.hypot(*gravity)
-        parts = 1 if is_hinge else math.ceil(HINGES_MIN / robot.sections[int(section)].cells)
+        parts = 1 if is_hinge else math.ceil(HINGES_MIN / robot.sections[section].cells)
         half = 0.5 * length / parts
         for part in range(parts):
             yield Hinge(
