@@ -61,7 +61,7 @@ def test_a_single_reading_that_a_load_cell_misses_does_not_hide_the_force_of_the
         _frames=FrameMean(1e-4, 0.01, 3.0),
         _is_due=lambda: True,
         _publish=lambda tensions, *_: told.append(tensions),
-        watch=SimpleNamespace(slopes=None),
+        watch=SimpleNamespace(observer=SimpleNamespace(slopes=None)),
     )
     for number in range(30):
         now, tension = number / 10.0, np.nan if number == 10 else 1.0
