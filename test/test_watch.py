@@ -319,17 +319,6 @@ def watch(known):
     return made
 
 
-def test_an_arm_that_is_learned_anew_forgets_what_was_being_learned():
-    watch = ArmWatch(Model(ROBOT), default_markers(ROBOT), WatchSettings(3, 20000.0, NOISE))
-    rows = postures(3, 7)
-    for tensions, positions in zip(rows, looked(make_plant(ROBOT, {}), rows, 2), strict=True):
-        watch.update(tensions, positions)
-    learning = watch._learning
-    anew = ArmWatch(watch.model, watch.markers, watch.settings)
-    learning.join()
-    assert anew.state is None and '0 of 3' in anew.text
-
-
 def test_an_arm_that_stays_as_it_is_raises_no_alarm(learned, watch):
     rows = postures(40, 11)
     for tensions, positions in zip(rows, looked(learned[0], rows, 3), strict=True):
@@ -413,7 +402,6 @@ def test_a_change_is_told_within_twenty_postures_and_named(watch, hidden, name):
     likely = [s.name for s in state.suspects if s.probability > 0.1]
     assert name in likely
     assert name in watch.text
-    assert ArmWatch(watch.model, watch.markers, watch.settings).state is None
 
 
 def test_one_odd_posture_alone_raises_no_alarm_and_the_next_one_does(watch):
