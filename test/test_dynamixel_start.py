@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from tendon_robot_ros.common.errors import DriverError
-from tendon_robot_ros.drivers import make_driver
+from tendon_robot_ros.drivers import make_driver, serial_port
 from tendon_robot_ros.drivers.dynamixel.control_table import FRICTION_CURRENT
-from tendon_robot_ros.drivers.serial_port import write_all
 from tendon_robot_ros.emulator.rig import SpringArm
 
 pytest.importorskip('dynamixel_sdk')
@@ -118,7 +117,7 @@ def test_it_describes_resolution_calibration_and_servos():
         assert (said['east (id 1): firmware'], said['east (id 1): torque']) == ('48', 'off')
 
 
-def test_what_is_written_arrives_and_a_port_that_takes_nothing_is_lost():
+def test_what_is_written_arrives_and_a_port_that_takes_nothing_is_lost(monkeypatch):
     here, there = os.openpty()
     tty.setraw(there)
     os.set_blocking(there, False)
@@ -130,11 +129,13 @@ def test_what_is_written_arrives_and_a_port_that_takes_nothing_is_lost():
 
     reader = threading.Thread(target=drain)
     reader.start()
-    write_all(there, data)
+    with monkeypatch.context() as patient:  # the reader may wait for a processor
+        patient.setattr(serial_port, 'ANSWER_TIMEOUT_S', 60.0)
+        serial_port.write_all(there, data)
     reader.join()
     assert came == data
     with pytest.raises(TimeoutError, match='took nothing'):
-        write_all(there, data)
+        serial_port.write_all(there, data)
     os.close(here)
     os.close(there)
 
