@@ -21,11 +21,11 @@ from ..common.arrays import Floats
 from ..effects import Effect
 from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
-from ..inference.fitter import BEST_FEW, FAILURES, GAINS_TO_COME, Descent, Fitter
+from ..inference.fitter import BEST_FEW, FAILURES, GAINS_TO_COME, STEPS_FEW, Descent, Fitter
 from ..inference.imperfections import pushes
 from ..inference.intervals import QUANTILE
 from ..inference.predict import FreeParameter, Point, Predictor, free_parameters
-from ..inference.search import DIFFERENCE_STEP
+from ..inference.search import DIFFERENCE_STEP, Search
 from ..inference.session import NEAR_SCORE, Session
 
 Start = Mapping[str, float]  # parameter -> SI
@@ -220,7 +220,7 @@ def _fitted(
 
     Of places `along` the arm those that are worse than their neighbours lead to the same fit. A
     start is not followed if that step, less what gains may come, leaves it as far behind the line
-    as a `race` allows; the best after a first search is fitted to the end.
+    as a `race` allows; the best after a few steps is fitted to the end.
     """
     fitter, reach = session.fitter, DISTANCES[-1] * session.robot.length  # farther: as a load
     every = [within(f, reach) for f in free_parameters(session.catalogue[name], session.robot)]
@@ -240,25 +240,28 @@ def _fitted(
     estimates = np.pad([estimate for estimate, _ in rows], 1, constant_values=np.inf)
     lowest = estimates[1:-1] <= np.minimum(estimates[:-2], estimates[2:])
     likely = [row for row, own in zip(rows, lowest, strict=True) if own or not along]
-    descents = list[Descent]()
+    searches = list[Search]()
     for estimate, values in sorted(likely, key=lambda row: row[0])[:few]:
         candidate = Candidate((name,), tuple(values), present=False)
         hopeless = line - 2.0 * len(values)
         to_come = GAINS_TO_COME * max(base.deviance - estimate, 0.0)
         far = estimate - to_come > hopeless + NEAR_SCORE
-        if far and descents:
+        if far and searches:
             break
         with suppress(*FAILURES):
             search = fitter.search(candidate.frees, values)
             if far:
                 return session.rank(candidate, fitter.freeze(search))
-            descents.append(Descent(fitter, search))
-    if not descents:
-        return None
-    best = min(descents, key=lambda one: one.place.deviance)
-    while not best.converged:
-        best.go_on(hopeless)
-    return session.rank(candidate, best.fit())
+            search.run(STEPS_FEW)
+            searches.append(search)
+    best = min(searches, key=lambda one: float(one.r @ one.r), default=None)
+    with suppress(*FAILURES):
+        if best is not None:
+            descent = Descent(fitter, best)
+            while not descent.converged:
+                descent.go_on(hopeless)
+            return session.rank(candidate, descent.fit())
+    return None
 
 
 def ways(name: str, postures: int) -> int:
