@@ -21,11 +21,11 @@ from ..common.arrays import Floats
 from ..effects import Effect
 from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
-from ..inference.fitter import BEST_FEW, FAILURES, GAINS_TO_COME, STEPS_FEW, Descent, Fitter
+from ..inference.fitter import BEST_FEW, FAILURES, GAINS_TO_COME, Fitter
 from ..inference.imperfections import pushes
 from ..inference.intervals import QUANTILE
 from ..inference.predict import FreeParameter, Point, Predictor, free_parameters
-from ..inference.search import DIFFERENCE_STEP, Search
+from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import NEAR_SCORE, Session
 
 Start = Mapping[str, float]  # parameter -> SI
@@ -216,52 +216,42 @@ def _fitted(
     few: int = BEST_FEW,
 ) -> Ranked | None:
     """
-    Return the fit of an effect from the best of the `few` starts that a linear step leaves best.
+    Return the best fit of an effect from the `few` starts that a linear step leaves best.
 
     Of places `along` the arm those that are worse than their neighbours lead to the same fit. A
     start is not followed if that step, less what gains may come, leaves it as far behind the line
-    as a `race` allows; the best after a few steps is fitted to the end.
+    as a `race` allows.
     """
-    fitter, reach = session.fitter, DISTANCES[-1] * session.robot.length  # farther: as a load
+    fitter, best = session.fitter, None
+    rows = list[tuple[float, dict[FreeParameter, float]]]()
+    reach = DISTANCES[-1] * session.robot.length  # a string from farther away is as good as a load
     every = [within(f, reach) for f in free_parameters(session.catalogue[name], session.robot)]
-    rows, sizes = list[tuple[float, dict[FreeParameter, float]]](), fitter.random.start
     for start in sorted(islice(starts, STARTS), key=lambda start: start.get('arc_length', 0.0)):
-        values = {
+        frees = {
             free: float(np.clip(start[free.key], free.parameter.low, free.parameter.high))
             for free in every
             if free.key in start
         }
         with suppress(*FAILURES):
-            search = fitter.search(tuple(values), values, near=base.settled)
-            fitter.sizes = sizes
-            estimated = fitter.estimate(search)
-            sizes = estimated.values  # of imperfections; those of the next one are alike
-            rows.append((estimated.deviance, values))
+            search = fitter.search(tuple(frees), frees, near=base.settled)
+            rows.append((fitter.estimate(search).deviance, frees))
     estimates = np.pad([estimate for estimate, _ in rows], 1, constant_values=np.inf)
     lowest = estimates[1:-1] <= np.minimum(estimates[:-2], estimates[2:])
     likely = [row for row, own in zip(rows, lowest, strict=True) if own or not along]
-    searches = list[Search]()
-    for estimate, values in sorted(likely, key=lambda row: row[0])[:few]:
-        candidate = Candidate((name,), tuple(values), present=False)
-        hopeless = line - 2.0 * len(values)
-        to_come = GAINS_TO_COME * max(base.deviance - estimate, 0.0)
-        far = estimate - to_come > hopeless + NEAR_SCORE
-        if far and searches:
-            break
+    for estimate, frees in sorted(likely, key=lambda row: row[0])[:few]:
+        candidate = Candidate((name,), tuple(frees), present=False)
+        hopeless = (line if best is None else min(line, best.score)) - 2.0 * len(frees)
+        gain = max(base.deviance - estimate, 0.0)
         with suppress(*FAILURES):
-            search = fitter.search(candidate.frees, values)
-            if far:
-                return session.rank(candidate, fitter.freeze(search))
-            search.run(STEPS_FEW)
-            searches.append(search)
-    best = min(searches, key=lambda one: float(one.r @ one.r), default=None)
-    with suppress(*FAILURES):
-        if best is not None:
-            descent = Descent(fitter, best)
-            while not descent.converged:
-                descent.go_on(hopeless)
-            return session.rank(candidate, descent.fit())
-    return None
+            if estimate - GAINS_TO_COME * gain <= hopeless + NEAR_SCORE:
+                fit = fitter.fit(candidate.frees, frees, hopeless=hopeless)
+            elif best is None:
+                fit = fitter.freeze(fitter.search(candidate.frees, frees))
+            else:
+                break
+            if best is None or fit.deviance < best.fit.deviance:
+                best = session.rank(candidate, fit)
+    return best
 
 
 def ways(name: str, postures: int) -> int:

@@ -19,7 +19,7 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..inference.candidates import Candidate, joining_effects, nuisances_of
 from ..inference.fit import Fit
-from ..inference.fitter import BEST_FEW, FAILURES, STEPS_FEW, Fitter
+from ..inference.fitter import BEST_FEW, FAILURES, Fitter
 from ..inference.noise import Noise, Whitener
 from ..inference.predict import Point, Predictor
 from ..inference.search import DIFFERENCE_STEP
@@ -62,6 +62,7 @@ NEARLY_EFFECTS = (gravities,)  # a load can imitate the weight of a light arm
 # that can happen to an arm between two recordings of it, while others are in both, and cancel
 NEW_MISTAKES = (*ORDERS, dead_inputs)
 OF_INPUTS = (swapped_inputs, *SIZES)  # that can be why there is no equilibrium
+STEPS_FEW = 8  # [1] of a fit, because hundreds are made and none is reported
 # [1] postures of a long recording, because a mistake of the set-up shows in every one of them
 SCREENED_POSTURES = 24
 CUT_AS_GOOD_RATIO = 1.05  # [1] to the least error, so that the fewest cells are reported

@@ -20,7 +20,6 @@ from .search import Search
 
 FAILURES = (ArithmeticError, np.linalg.LinAlgError)  # no equilibrium at a start, or on the path
 BEST_FEW = 3  # [1] of an order by a cheap estimate that are fitted, because the estimate may err
-STEPS_FEW = 8  # [1] of a fit that is one of many tried, because it is not reported
 ROUNDS_MAX = 8  # [1] of parameters, imperfections and sizes in turn, else one that creeps goes on
 DEVIANCE_CONVERGED = 0.1  # [1] of a round, because a likelihood ratio of 5 % decides nothing
 GAINS_TO_COME = 4.0  # [1] of the last round, so that gains falling by a fifth a round all count
