@@ -207,7 +207,7 @@ def test_a_diagnosis_that_complains_a_lot_is_read_to_its_end(tmp_path, monkeypat
 
 
 def test_an_addition_that_was_asked_for_twice_is_answered_twice():
-    work, sums = Work(), {'before': 2e-3, 'after': 1e-3, 'floor': 1e-4}
+    work, sums = Work(), {'text': '', 'before': 2e-3, 'after': 1e-3}
     work._lines.put({'kind': 'verdict', 'content': {'verdict': 'missing_effect', 'sentence': ''}})
     work._lines.put({'kind': 'addition', 'effects': ['gravity'], 'file': 'better.yaml',
                      'partial': False, **sums})  # fmt: skip

@@ -21,10 +21,14 @@ from std_msgs.msg import Float64, Float64MultiArray, String
 from visualization_msgs.msg import Marker, MarkerArray
 from watched_arm import coarse
 
+from tendon_robot_ros.data import default_markers
+from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring import History
 from tendon_robot_ros.monitoring.monitor import FrameMean
+from tendon_robot_ros.monitoring.watch import ArmWatch, WatchSettings
 from tendon_robot_ros.robot import dump_robot, load_robot
 from tendon_robot_ros.ros.monitor.watching import Watching
+from tendon_robot_ros.workspace.postures import default_postures
 
 pytestmark = [pytest.mark.ros, pytest.mark.long]
 LOADED = 120.0  # [s] a busy machine may need to load the model
@@ -50,6 +54,18 @@ FITTED = COARSE.with_effect(
     {'relative_change': 0.0},
     {'parameters': {'relative_change': INTERVAL}},
 )
+
+
+def test_what_was_being_learned_is_no_part_of_what_is_learned_anew():
+    watch = ArmWatch(Model(COARSE), default_markers(COARSE), WatchSettings(3, 20000.0, 1e-4))
+    for tensions in default_postures(COARSE, 3, 0, 'tension', 'from_straight'):
+        watch.update(tensions, watch.model.shape(tensions).positions)
+    learning, watching = watch._learning, SimpleNamespace(watch=watch)
+    assert learning is not None
+    Watching.set_model(watching, watch.model)
+    learning.join()
+    assert watch.state is not None
+    assert watching.watch.state is None and '0 of 3' in watching.watch.text
 
 
 def test_a_single_reading_that_a_load_cell_misses_does_not_hide_the_force_of_the_others():

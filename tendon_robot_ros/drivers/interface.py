@@ -307,8 +307,8 @@ def make_driver(
     try:
         kind = getattr(importlib.import_module(f'.{chosen.module}', __package__), chosen.driver)
     except ModuleNotFoundError as error:
-        missing = error.name or ''
-        if chosen.extra and missing.split('.')[0] in ('dynamixel_sdk', 'serial'):
+        missing, own = error.name or '', __name__.split('.')[0]
+        if chosen.extra and missing.split('.')[0] != own:
             raise MissingExtraError(missing, chosen.extra) from None
         raise
     driver: Driver = kind.from_config(robot, config, mode=mode, source=source, **parts)

@@ -335,7 +335,8 @@ class ArmWatch:
         """Begin without a reference."""
         robot, catalogue = self.model.robot, self.model.catalogue
         self._arm = BuiltArm(robot, catalogue, self.markers, self.settings.tracker_noise)
-        self.observer = ContactObserver(self._arm)  # of what pushes it, but while learning
+        # of what pushes it; not to be asked while `learning`, since that thread uses its model
+        self.observer = ContactObserver(self._arm)
         self._references: list[tuple[Floats, Floats, int]] = []  # as of `update`
         self._learning: threading.Thread | None = None
         self.alarm: DriftAlarm | None = None

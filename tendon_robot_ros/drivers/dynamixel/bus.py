@@ -37,8 +37,14 @@ import dynamixel_sdk as sdk
 import serial
 
 from ...common.errors import DriverError
-from .. import serial_port
-from ..serial_port import ANSWER_TIMEOUT_S, HICCUPS_MAX, PortLostError, held_by
+from ..serial_port import (
+    ANSWER_TIMEOUT_S,
+    HICCUPS_MAX,
+    PortLink,
+    PortLostError,
+    held_by,
+    write_all,
+)
 from .control_table import REGISTERS, TABLE_BYTES, decode, encode
 
 T = TypeVar('T')
@@ -84,7 +90,7 @@ class Port(sdk.PortHandler):  # type: ignore[misc]
 
     def writePort(self, packet: list[int]) -> int:  # noqa: N802
         """Write a packet; return its length."""
-        serial_port.write_all(self.ser.fileno(), bytes(packet))
+        write_all(self.ser.fileno(), bytes(packet))
         return len(packet)
 
     def waiting(self, seconds: float = 0.0) -> int:
@@ -127,7 +133,7 @@ def check_latency(path: str, allow: bool, sysfs: str = '/sys') -> int | None:
     return milliseconds
 
 
-class Bus(serial_port.PortLink):
+class Bus(PortLink):
     """
     One serial bus with servos.
 

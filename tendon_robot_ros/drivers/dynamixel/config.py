@@ -145,7 +145,7 @@ def fit_current(points: Sequence[CurrentPoint]) -> Calibration:
         Fewer than three weights, or currents that do not grow with the weight.
 
     """
-    tensions, *currents = np.array(points).T
+    tensions, *currents = np.reshape(points, (-1, 3)).T
     different = len(np.unique(tensions))
     if different < hardware.WEIGHTS_MIN:
         raise InputError(

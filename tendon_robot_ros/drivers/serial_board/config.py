@@ -69,7 +69,7 @@ def fit_counts(points: Sequence[CountsPoint]) -> Cell:
         Too few different weights, or counts that do not change with the weight.
 
     """
-    tensions, counts, spreads = np.array(points).T
+    tensions, counts, spreads = np.reshape(points, (-1, 3)).T
     different = len(np.unique(tensions))
     if different < hardware.WEIGHTS_MIN:
         raise InputError(

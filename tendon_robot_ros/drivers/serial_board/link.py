@@ -16,10 +16,16 @@ import numpy as np
 
 from ...common.arrays import Floats
 from ...common.errors import DriverError
-from .. import serial_port
 from ..hardware import READINGS_MIN, STANDING_S
 from ..interface import CYCLE_S
-from ..serial_port import ANSWER_TIMEOUT_S, RESTART_TIMEOUT_S
+from ..serial_port import (
+    ANSWER_TIMEOUT_S,
+    HICCUPS_MAX,
+    RESTART_TIMEOUT_S,
+    PortLink,
+    lost_while,
+    write_all,
+)
 from . import messages
 from .config import BoardConfig, CountsPoint
 from .messages import Frame, FrameReceiver, Identity, Message, Protocol, Telemetry, encode
@@ -27,7 +33,7 @@ from .messages import Frame, FrameReceiver, Identity, Message, Protocol, Telemet
 RELEASE_TIME_S = 10.0  # [s] of a board left under tension, so that a slow release comes to an end
 
 
-class BoardLink(serial_port.PortLink):
+class BoardLink(PortLink):
     """
     One port with one board.
 
@@ -71,7 +77,7 @@ class BoardLink(serial_port.PortLink):
         with self.conversation() as port:
             self._sequence = (self._sequence + 1) & 0xFF
             self.sent_at = time.monotonic()
-            serial_port.write_all(port.fileno(), encode(kind, self._sequence, payload))
+            write_all(port.fileno(), encode(kind, self._sequence, payload))
         return self._sequence
 
     def receive(self, wait: float) -> list[Frame]:
@@ -105,7 +111,7 @@ class BoardLink(serial_port.PortLink):
                 return frames
         return []
 
-    def ask(self, kind: int, payload: bytes, attempts: int = serial_port.HICCUPS_MAX + 1) -> None:
+    def ask(self, kind: int, payload: bytes, attempts: int = HICCUPS_MAX + 1) -> None:
         """
         Send a message until the board acknowledges it.
 
@@ -237,7 +243,7 @@ class BoardLink(serial_port.PortLink):
         """
         counts: list[float] = []
         began = time.monotonic()
-        with serial_port.lost_while('calibrating'):
+        with lost_while('calibrating'):
             while (passed := time.monotonic() - began) < STANDING_S + seconds:
                 self.send(Message.RAW)
                 for frame in self.wait_for(Message.RAW_CELLS, ANSWER_TIMEOUT_S):

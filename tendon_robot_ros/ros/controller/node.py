@@ -65,7 +65,7 @@ class ControllerNode(StoppableNode):
 
     def __init__(self) -> None:
         """Declare parameters and start to load the model; nothing is commanded yet."""
-        super().__init__('controller', False, hears='tendon_states', says='tendon_command')
+        super().__init__('controller', drives=False, hears='tendon_states', says='tendon_command')
         self.status = Status(self, 'control')
         self.core: ControllerCore | None = None
         self._loading = ModelLoading(self.parameters)

@@ -54,7 +54,7 @@ class DriverNode(StoppableNode):
 
     def __init__(self) -> None:
         """Declare the parameters; no device is opened yet."""
-        super().__init__('driver', True, hears='tendon_command', says='tendon_states')
+        super().__init__('driver', drives=True, hears='tendon_command', says='tendon_states')
         self.parameters.watch({'mock_fault': self._inject}, self._retune)
         self.status = Status(self, 'motors')
         self.loop: MotorLoop | None = None
