@@ -15,6 +15,7 @@ from source_tree import ROOT
 from tendon_robot_ros.common.errors import InputError, RobotDescriptionError, TendonRobotError
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import dump_robot, load_robot, parse_robot
+from tendon_robot_ros.simulation.plant import make_plant
 
 ARM = """
 name: arm
@@ -156,13 +157,15 @@ IN_THE_MODEL = [
      "friction_coefficient, got 'mu'"),
     ('effects.section_stiffness.relative_change', [0.1, 0.2, 0.3], '2 numbers (one per section)'),
     ('effects.tendon_friction.friction_coefficient', [0.1, 0.2], 'one number'),
+    ('effects.tendon_friction.friction_coefficient', [], 'one number'),
 ]  # fmt: skip
 
 
+@pytest.mark.parametrize('read', [Model, make_plant])
 @pytest.mark.parametrize(('path', 'value', 'said'), IN_THE_MODEL)
-def test_a_bad_effect_parameter_is_named_by_the_model(path, value, said):
+def test_a_bad_effect_parameter_is_named_by_the_model(path, value, said, read):
     parse_robot(change(path, value))
-    refused(Model, path, value, said)
+    refused(read, path, value, said)
 
 
 def test_an_unknown_effect_is_answered_with_the_known_ones():

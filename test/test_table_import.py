@@ -203,6 +203,12 @@ def test_rows_that_were_taken_after_the_arm_had_settled_are_each_a_measurement(w
     assert_allclose(again.dataset.inputs, imported.dataset.inputs)
 
 
+def test_a_column_of_times_in_import_yaml_has_a_unit(tmp_path):
+    (tmp_path / 'import.yaml').write_text('time: {1: {a: 2}}')
+    with pytest.raises(DataSetError, match=r'import\.yaml: time\.1: got .* expected a text'):
+        load_recipe(tmp_path / 'import.yaml')
+
+
 @pytest.mark.parametrize('rows', [slice(1, None), slice(None, -1)])
 def test_tables_without_times_that_differ_in_length_are_refused(walk, rows):
     frame = walk[0].iloc[::48].drop(columns='time_s')

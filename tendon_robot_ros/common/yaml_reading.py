@@ -242,7 +242,7 @@ class Reader:
         return float(value)
 
     def _where(self, key: str) -> str:
-        return '.'.join(filter(None, (self.path, key))) or 'file'
+        return '.'.join(map(str, filter(None, (self.path, key)))) or 'file'
 
 
 class ConfigFields(Reader):

@@ -10,7 +10,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from functools import cache
 from pathlib import Path
@@ -24,7 +24,7 @@ from ..common.errors import EffectError, RobotDescriptionError
 from ..common.files import cache_folder
 from ..common.processes import child_environment
 from ..common.words import COMPILING
-from ..effects import STAGES, Catalogue, load_catalogue
+from ..effects import STAGES, Catalogue, Effect, load_catalogue
 from ..robot import Robot
 from ..robot.description import helix_angles, tendon_offsets
 from ..robot.estimates import stiffnesses
@@ -247,6 +247,47 @@ LINKING_STAGES = {'length', 'stretch', 'winding'}  # see `place_as` of the kerne
 LINKING_STAGES |= {name for name, stage in STAGES.items() if stage.implicit}
 
 
+def described_effect(
+    robot: Robot, catalogue: Catalogue, name: str, values: Mapping[str, Any]
+) -> Effect:
+    """
+    Return an effect of a description, whose values are checked.
+
+    Raises
+    ------
+    EffectError
+        The catalogue does not have it.
+    RobotDescriptionError
+        A parameter is unknown or missing, out of bounds, or has another number of values.
+
+    """
+    try:
+        effect = catalogue[name]
+    except EffectError as error:
+        raise EffectError(f'{robot.source}: effects: {error}') from None
+    known = {parameter.name: parameter for parameter in effect.parameters}
+    for key, value in values.items():
+        where = f'effects.{name}.{key}'
+        if key not in known:
+            raise RobotDescriptionError(robot.source, where, 'one of ' + ', '.join(known), key)
+        parameter = known[key]
+        numbers = value if isinstance(value, tuple) else (value,)
+        per = parameter.per
+        count = {'section': len(robot.sections), 'tendon': len(robot.tendons)}.get(per)
+        if isinstance(value, tuple) and len(value) != count:
+            expected = f'{count} numbers (one per {per})' if per else 'one number'
+            raise RobotDescriptionError(robot.source, where, expected, list(value))
+        low, high = parameter.described_bounds
+        for number in numbers:
+            if not low <= number <= high:
+                expected = f'a number from {low:g} to {high:g} [{parameter.unit}]'
+                raise RobotDescriptionError(robot.source, where, expected, number)
+    missing = [p.name for p in known.values() if not (p.has_default or p.name in values)]
+    if effect.always_on and missing:
+        raise RobotDescriptionError(robot.source, f'effects.{name}', ', '.join(missing), None)
+    return effect
+
+
 class KernelArrays:
     """Flat arrays of a robot with its effects, and the composed kernel's modules."""
 
@@ -339,37 +380,15 @@ class KernelArrays:
 
     def read(self, name: str, values: dict[str, Any]) -> None:
         """Set an effect as a description lists it, within the bounds of its parameters."""
-        robot = self.robot
-        try:
-            effect = self.catalogue[name]
-        except EffectError as error:
-            raise EffectError(f'{robot.source}: effects: {error}') from None
-        known = {parameter.name: parameter for parameter in effect.parameters}
+        effect = described_effect(self.robot, self.catalogue, name, values)
         for key, value in values.items():
-            where = f'effects.{name}.{key}'
-            if key not in known:
-                raise RobotDescriptionError(robot.source, where, 'one of ' + ', '.join(known), key)
-            parameter = known[key]
             numbers = value if isinstance(value, tuple) else (value,)
-            counts = {'section': len(robot.sections), 'tendon': len(robot.tendons), '': 0}
-            count, per = counts[parameter.per], parameter.per
-            if isinstance(value, tuple) and len(value) != count:
-                expected = f'{count} numbers (one per {per})' if per else 'one number'
-                raise RobotDescriptionError(robot.source, where, expected, list(value))
-            low, high = parameter.described_bounds
-            for number in numbers:
-                if not low <= number <= high:
-                    expected = f'a number from {low:g} to {high:g} [{parameter.unit}]'
-                    raise RobotDescriptionError(robot.source, where, expected, number)
             row = self.values[self.layout.rows[name, key]]
             row[:] = numbers[0]
             for owner, number in enumerate(numbers):
                 row[self.columns(name, key, owner)] = number
-        missing = [p.name for p in known.values() if not (p.has_default or p.name in values)]
-        if effect.always_on and missing:
-            raise RobotDescriptionError(robot.source, f'effects.{name}', ', '.join(missing), None)
-        rows = [self.layout.rows[name, key] for key in known]
-        neutral = np.array([[known[key].neutral] for key in known])
+        rows = [self.layout.rows[name, parameter.name] for parameter in effect.parameters]
+        neutral = np.array([[parameter.neutral] for parameter in effect.parameters])
         acts = effect.always_on or bool(np.any(self.values[rows] != neutral))
         self.on[self.layout.index[name]] = acts
 

@@ -21,6 +21,7 @@ from ..common.arrays import Floats
 from ..common.errors import number, whole
 from ..common.rotations import bent, turned_in_plane
 from ..effects import Catalogue, CatalogueLike, Effect, load_catalogue
+from ..model.compile import described_effect
 from ..model.model import Model
 from ..model.pulls import pull_shapes
 from ..model.shape import Shape, ShapeBatch
@@ -331,6 +332,8 @@ def make_plant(
     robot, refine, seed = load_robot(robot), whole('refine', refine, 1), whole('seed', seed)
     scatter = number('scatter', scatter, 0.0, SCATTER_MAX)
     catalogue = load_catalogue(catalogue).sized(natural_sizes(robot))
+    for name, values in robot.effects.items():
+        described_effect(robot, catalogue, name, values)
     damage = Damage(robot, seed)
     effects = hide(robot, {} if hidden is None else hidden, catalogue, damage)
     if work is not None:
