@@ -221,7 +221,8 @@ def test_a_wrong_parameter_is_said_and_added(capsys, folder):
         'the arm is taken as it is built: cells, tendons and tracker may be a little off; '
         'declared (1 sd): bending_stiffness 2.0 %'
     )
-    assert any(line.startswith('Measure this next: prox_left 1.31 N') for line in lines)
+    # no posture tells the three of the class apart by more than its noise
+    assert not any(line.startswith('Measure this next') for line in lines)
     (never,) = (line for line in lines if line.startswith('error on postures never used'))
     assert never.startswith('error on postures never used: 5.15 mm -> 0.592 mm')
 
