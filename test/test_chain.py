@@ -39,7 +39,7 @@ def test_every_stop_brings_the_arm_to_pretension(tmp_path):
     found = run(tmp_path, 'bench_stop.py', '--trials', '1')
     assert found['died'] == []
     stops = [row for row in found.values() if isinstance(row, dict)]
-    assert len(stops) == 7
+    assert len(stops) == 9  # kinds of stops
     assert all(row['trials'] + row['not held'] == 1 for row in stops)
     held = [row for row in stops if row['trials']]
     assert held
