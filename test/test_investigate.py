@@ -15,6 +15,7 @@ from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.data.dataset import LOADINGS
 from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.inference.intervals import LoadVector, Value
 from tendon_robot_ros.inference.noise import Noise
 from tendon_robot_ros.inference.predict import frees_of
 from tendon_robot_ros.investigation.choice import (
@@ -33,6 +34,7 @@ from tendon_robot_ros.investigation.goal import (
     only_wide,
     possible,
     settled,
+    widest,
 )
 from tendon_robot_ros.investigation.loop import Findings, Investigation, write_results
 from tendon_robot_ros.investigation.measuring import BETTER, PostureMeasured, Record, empty_dataset
@@ -138,7 +140,7 @@ def test_once_only_an_interval_is_too_wide_the_posture_that_narrows_it_is_chosen
     question, catalogue = OpenQuestion(('tip_load',), {}, NOISE), load_catalogue()
     narrows = replace(question, narrows=True)
 
-    def widest(choice):
+    def width(choice):
         design = LinearDesign(question, empty, catalogue)
         shown = dict(zip(map(tuple, rows.tolist()), design.offered(rows)[1], strict=True))
         precision = np.eye(shown[tuple(rows[0].tolist())].shape[1])
@@ -149,11 +151,22 @@ def test_once_only_an_interval_is_too_wide_the_posture_that_narrows_it_is_chosen
 
     for count in (1, 2, 3):
         by_volume, by_width = (
-            widest(choose(asked, empty, rows, catalogue, count)) for asked in (question, narrows)
+            width(choose(asked, empty, rows, catalogue, count)) for asked in (question, narrows)
         )
         assert by_width <= by_volume * (1.0 + 1e-9)
     first = choose(narrows, empty, rows, catalogue, 1)[0]
-    assert first[1] == pytest.approx(-0.5 * np.log(widest([first])), rel=1e-6)
+    assert first[1] == pytest.approx(-0.5 * np.log(width([first])), rel=1e-6)
+
+
+@pytest.mark.parametrize('turn', [0.0, 0.3, np.pi / 4])
+def test_an_interval_of_a_force_is_a_part_of_it_wherever_the_axes_point(turn):
+    catalogue = load_catalogue().sized(natural_sizes(load_robot(KATO)))
+    force = 10.0 * catalogue['tip_load'].parameters[0].typical
+    parts = {'force_x': force * np.cos(turn), 'force_z': force * np.sin(turn)}
+    within = {key: Value(f, f - 0.2 * force, f + 0.2 * force, 'N') for key, f in parts.items()}
+    load = LoadVector(Value(force, 0.8 * force, 1.2 * force, 'N'), None, 0.0)
+    found = SimpleNamespace(name='tip_load', parameters=within, load=load)
+    assert widest(SimpleNamespace(effects=[found]), catalogue) == pytest.approx(0.2)
 
 
 def test_a_class_counts_only_when_its_interval_is_as_narrow_as_asked():

@@ -191,13 +191,19 @@ def in_question(diagnosis: Diagnosis) -> list[str]:
 
 
 def widest(diagnosis: Diagnosis, catalogue: Catalogue) -> float | None:
-    """Half of the widest 95 % interval, of the value or of a typical size; None: nothing named."""
+    """
+    Half of the widest 95 % interval, of the value or of a typical size; None: nothing named.
+
+    Of a component of a force it is a part of the force, wherever the axes point.
+    """
     halves = []
     for effect in diagnosis.effects:
         parameters = {p.name: p for p in catalogue[effect.name].parameters}
+        force = 0.0 if effect.load is None else effect.load.size.value
         for key, value in effect.parameters.items():
             parameter = parameters[key.split('[')[0]]
             size = max(abs(value.value - parameter.neutral), parameter.typical)
+            size = max(size, force) if parameter.unit == 'N' else size
             half = 0.5 * (value.high - value.low)
             halves.append(half / size if np.isfinite(half) else np.inf)
     return float(max(halves)) if halves else None
