@@ -53,7 +53,10 @@ class Log(MockDriver):
 @pytest.fixture
 def bus():
     limits = np.array([[LOW, HIGH]] * 2)
-    rules = SafetyRules(ROBOT.inputs, 'tension', limits, np.full(2, 50.0), limits[:, 0], 20.0)
+    rules = SafetyRules(
+        ROBOT.inputs, 'tension', limits, np.full(2, 50.0), limits[:, 0], 20.0,
+        command_timeout=30.0,  # a test on a busy machine is silent for longer than the usual 0.1 s
+    )  # fmt: skip
     driver, cycles = Log(), []
     driver.open()
     made = MotorLoop(driver, Supervisor(rules), 0.002, cycles.append)
