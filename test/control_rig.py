@@ -44,10 +44,16 @@ class Rig:
         return controller_status(self.core, self.now).code
 
 
-def aimed(seconds, **settings):
-    """Return a rig that has been on its way to a target for so long [s]."""
+def standing(**settings):
+    """Return a rig that has heard its driver."""
     rig = Rig(**settings)
     rig.run(0.1)
+    return rig
+
+
+def aimed(seconds, **settings):
+    """Return a rig that has been on its way to a target for so long [s]."""
+    rig = standing(**settings)
     rig.core.aim(reachable())
     rig.run(seconds)
     return rig

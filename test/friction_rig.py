@@ -69,6 +69,13 @@ class Rig:
         return controller_status(self.core, self.now).code
 
 
+def standing(remembers=True, **settings):
+    """Return a rig that has heard its driver; `remembers` False: nor does its arm."""
+    rig = Rig(models=lambda known=True: model(known and remembers), **settings)
+    rig.run(0.05)
+    return rig
+
+
 ARMS = {'planar': (load_robot('kato_10_1'), 0.8), 'spatial': (COARSE, 1.5)}  # tensions to [N]
 SPRINGS, STIFF = {'wire_spring': {'compliance': 1e-3}}, {}
 BENDS = {'bending_hysteresis': {'lag': 0.03, 'presliding': 2.0}}

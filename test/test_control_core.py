@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from control_rig import CYCLE, Rig, aimed, model, reachable
+from control_rig import CYCLE, Rig, aimed, model, reachable, standing
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.common.rotations import angle_between
@@ -14,8 +14,7 @@ from tendon_robot_ros.control.status import controller_status
 
 
 def test_a_target_is_approached_at_the_rate_limit_and_reached():
-    rig = Rig(rate_limit=2.0)
-    rig.run(0.1)
+    rig = standing(rate_limit=2.0)
     rig.core.aim(reachable())
     first = rig.run(CYCLE).tensions
     assert np.abs(first - 0.1).max() == pytest.approx(2.0 * CYCLE)
@@ -107,8 +106,7 @@ def test_a_twist_moves_the_tip_and_ends_by_itself():
 
 
 def test_a_zero_twist_stops_at_once():
-    rig = Rig()
-    rig.run(0.1)
+    rig = standing()
     rig.core.twist(rig.now, Twist(np.array([0.05, 0.0, 0.0]), np.zeros(3)))
     rig.run(0.05)
     rig.core.twist(rig.now, Twist(np.zeros(3), np.zeros(3)))
@@ -119,8 +117,7 @@ def test_a_zero_twist_stops_at_once():
 
 def test_a_twist_may_hold_the_direction_and_may_be_given_in_tip_axes():
     def turned(**settings):
-        rig = Rig(**settings)
-        rig.run(0.1)
+        rig = standing(**settings)
         rig.core.aim(reachable((0.3, 0.6, 0.3, 0.9)))
         rig.run(1.0)
         start = model().shape(rig.tensions)
@@ -134,8 +131,7 @@ def test_a_twist_may_hold_the_direction_and_may_be_given_in_tip_axes():
 
 
 def test_a_turn_begins_where_the_tip_looks_after_it_was_moved():
-    rig = Rig()
-    rig.run(0.1)
+    rig = standing()
     rig.core.aim(replace(reachable((0.3, 0.2, 0.2, 0.2)), direction=None))
     rig.run(1.0)
     along = Twist(np.array([0.03, 0.0, 0.0]), np.zeros(3))
@@ -176,8 +172,7 @@ def test_while_the_driver_is_stopped_it_follows_the_measured_state():
 
 
 def test_out_of_reach_is_said_with_the_distance():
-    rig = Rig()
-    rig.run(0.1)
+    rig = standing()
     rig.core.aim(Target(np.array([0.2, 0.0, 0.2])))
     rig.run(3.0)
     said = controller_status(rig.core, rig.now)

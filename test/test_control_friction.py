@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from friction_rig import MORE_SIDES, SIDES, TARGETS, Rig, from_sides, model
+from friction_rig import MORE_SIDES, SIDES, TARGETS, from_sides, model, standing
 from marks import slow
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
@@ -20,8 +20,7 @@ from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
 
 
 def missed(order=TARGETS, **settings):
-    rig = Rig(**settings)
-    rig.run(0.05)
+    rig = standing(**settings)
     return max(rig.go(tensions) for tensions in order)
 
 
@@ -67,7 +66,7 @@ def test_a_stream_of_targets_asks_for_no_newtons_where_three_tendons_hardly_lead
 
 
 def test_a_target_of_a_stream_that_has_no_equilibrium_nearby_is_looked_for_everywhere(monkeypatch):
-    rig, asked, reach = Rig(), [], target_search.reach
+    rig, asked, reach = standing(), [], target_search.reach
 
     def near_is_none(task, policy, *hears):
         asked.append(policy.starts == 0)
@@ -75,7 +74,6 @@ def test_a_target_of_a_stream_that_has_no_equilibrium_nearby_is_looked_for_every
             raise NoEquilibriumError('nearby', (), np.inf)
         return reach(task, policy, *hears)
 
-    rig.run(0.05)
     rig.go(TARGETS[0])
     monkeypatch.setattr(target_search, 'reach', near_is_none)
     for share in (0.0, 0.01):
@@ -92,8 +90,7 @@ def test_from_below_ends_at_the_same_place():
 
 
 def test_from_below_the_last_leg_pulls_every_tendon_from_its_lowest():
-    rig = Rig(known=False, approach='from_below')
-    rig.run(0.05)
+    rig = standing(known=False, approach='from_below')
     target = Target(model(False).shape(np.array(TARGETS[0])).tip_position)
     rig.core.aim(target)
     rig.run(0.01)
@@ -152,9 +149,7 @@ def test_without_measured_tensions_the_correction_stays():
 def test_a_region_at_the_target_is_named_and_the_arm_stays_out():
     tip = model(False).shape(np.array(TARGETS[0])).tip_position
     room = KeepOut((Region('lamp', Sphere(tuple(tip), 0.01)),))
-    rig = Rig(known=False, keep_out=room)
-    rig.arm = model(False)
-    rig.run(0.05)
+    rig = standing(remembers=False, keep_out=room)
     rig.go(TARGETS[0])
     assert rig.code() == 'nearest'
     status = controller_status(rig.core, rig.now)
@@ -164,9 +159,7 @@ def test_a_region_at_the_target_is_named_and_the_arm_stays_out():
 
 
 def test_a_way_through_a_region_ends_before_it_and_names_it():
-    rig = Rig(known=False)
-    rig.arm = model(False)
-    rig.run(0.05)
+    rig = standing(remembers=False)
     found = []
     for tensions in TARGETS[:2] + TARGETS[:1]:
         rig.go(tensions)
@@ -188,9 +181,7 @@ def test_a_played_trajectory_that_would_enter_is_refused_with_its_time(pull):
     arm = model(False)
     ends = [arm.shape(np.array(tensions)) for tensions in ((0.5, 0.1, 0.1, 0.1), TARGETS[1])]
     room = KeepOut((Region('post', Sphere(tuple(ends[1].tip_position), 0.01)),))
-    rig = Rig(known=False, pull=pull, keep_out=room)
-    rig.arm = arm
-    rig.run(0.05)
+    rig = standing(remembers=False, pull=pull, keep_out=room)
     values = np.array([end.pulls if pull else end.inputs for end in ends])
     rig.core.play(rig.now, Trajectory(np.array([1.0, 2.0]), values))
     assert rig.code() == 'refused_keep_out' and rig.core.playing is None
@@ -207,9 +198,7 @@ def test_a_played_trajectory_that_would_enter_is_refused_with_its_time(pull):
 
 
 def test_weights_changed_while_standing_move_tensions_and_not_the_tip():
-    rig = Rig(known=False)
-    rig.arm = model(False)
-    rig.run(0.05)
+    rig = standing(remembers=False)
     rig.go(TARGETS[0])
     tip, tensions, away = rig.shape.tip_position, rig.shape.inputs, []
     rig.core.settings = Settings(preferences=Preferences(low_tension=0.0, slack=1.0))
@@ -224,9 +213,7 @@ def test_weights_changed_while_standing_move_tensions_and_not_the_tip():
 
 
 def test_the_tip_stiffens_twice_while_it_stands_and_is_kept():
-    rig = Rig(known=False)
-    rig.arm = model(False)
-    rig.run(0.05)
+    rig = standing(remembers=False)
     rig.go(TARGETS[2])
     tip, away = rig.shape.tip_position, []
     before = model(False).tip_stiffness(rig.shape).along([1, 0, 0])

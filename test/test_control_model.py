@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from control_rig import CYCLE, Rig, aimed, model, reachable
+from control_rig import CYCLE, Rig, aimed, model, reachable, standing
 
 from tendon_robot_ros.common.errors import InputError, NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings
@@ -18,8 +18,7 @@ from tendon_robot_ros.robot.keep_out import KeepOut, Region, Sphere
 
 
 def test_in_pull_mode_commands_are_the_pulls_of_an_equilibrium():
-    rig = Rig(pull_mode=True)
-    rig.run(0.1)
+    rig = standing(pull_mode=True)
     rig.core.aim(reachable())
     output = rig.run(1.0)
     assert output.pulls == pytest.approx(model().shape(output.tensions).pulls, abs=1e-9)
@@ -28,8 +27,7 @@ def test_in_pull_mode_commands_are_the_pulls_of_an_equilibrium():
 def test_in_pull_mode_the_tip_goes_where_the_lengths_alone_take_it():
     """Lengths keep up no tension of one wire against another: none is counted on."""
     target = Target(model().shape(np.array([1.5, 0.5, 0.1, 0.9])).tip_position)
-    rig = Rig(pull_mode=True)
-    rig.run(0.1)
+    rig = standing(pull_mode=True)
     rig.core.aim(target)
     output = rig.run(1.0)
     arm = model().pull_shape(output.pulls)
@@ -58,8 +56,7 @@ def test_another_model_moves_tensions_to_its_solution_at_the_rate_limit():
 
 
 def test_no_tendon_is_slacker_than_the_lowest_tension_raised_while_the_arm_stands():
-    rig = Rig()
-    rig.run(0.1)
+    rig = standing()
     target = Target(model().shape(np.array([0.5, 0.1, 0.1, 0.9])).tip_position)
     rig.core.aim(target)
     rig.run(1.0)
@@ -74,8 +71,7 @@ def test_no_tendon_is_slacker_than_the_lowest_tension_raised_while_the_arm_stand
 
 
 def test_a_model_with_other_inputs_or_without_equilibrium_is_refused(monkeypatch):
-    rig = Rig()
-    rig.run(0.1)
+    rig = standing()
     with pytest.raises(InputError, match='expected prox_left, prox_right, dist_left, dist_right'):
         rig.core.set_model(model('spatial_3'))
     other = Model(model().robot)
@@ -110,8 +106,7 @@ def test_without_equilibrium_it_halts_and_then_releases(monkeypatch):
 
 
 def test_a_trajectory_ends_within_the_limits_of_a_model_that_came_meanwhile():
-    rig = Rig(rate_limit=10.0)
-    rig.run(0.1)
+    rig = standing(rate_limit=10.0)
     rig.core.play(rig.now, Trajectory(np.array([1.0]), np.array([[1.1, 0.1, 0.1, 0.6]])))
     rig.run(0.5)
     rig.core.set_model(Model(replace(model().robot, tension_limits=(0.1, 0.4))))
@@ -138,8 +133,7 @@ def test_one_that_is_checked_while_the_model_changes_is_checked_again_and_ends_t
         (new.shape(end).tip_position, 'refused_keep_out', [0.1, 0.1, 0.1, 0.1]),
     ):
         room = KeepOut((Region('lamp', Sphere(tuple(place), 0.005)),))
-        rig = Rig(rate_limit=10.0, keep_out=room)
-        rig.run(0.1)
+        rig = standing(rate_limit=10.0, keep_out=room)
         trajectory = Trajectory(np.array([0.5]), end[None])
         work, done = posted(rig, lambda rig=rig, one=trajectory: rig.core.play(rig.now, one))
         rig.core.set_model(new)
@@ -239,8 +233,7 @@ def test_another_robot_takes_no_target_over(other, pull, resume):
 
 
 def test_a_target_that_is_looked_for_ends_with_another_robot_too():
-    rig = Rig()
-    rig.run(0.1)
+    rig = standing()
     rig.core.aim(reachable())
     rig.core.set_model(Model(replace(model().robot, name='another')))
     before = rig.tensions

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from control_rig import CYCLE, Rig, model, reachable
+from control_rig import CYCLE, Rig, model, reachable, standing
 
 from tendon_robot_ros.control import Refusal
 from tendon_robot_ros.control.inputs import Trajectory
@@ -19,8 +19,7 @@ def trajectory(times, *values, limits=LIMITS):
 
 
 def test_tensions_follow_the_straight_lines_in_time_and_the_end_is_held():
-    rig = Rig(rate_limit=10.0)
-    rig.run(0.1)
+    rig = standing(rate_limit=10.0)
     rig.core.play(rig.now, trajectory([1.0], END))
     rig.run(0.5)
     assert rig.tensions == pytest.approx([0.6, 0.1, 0.1, 0.35], abs=1e-9)
@@ -35,8 +34,7 @@ def test_tensions_follow_the_straight_lines_in_time_and_the_end_is_held():
 
 
 def test_a_trajectory_that_is_too_fast_arrives_late_at_the_rate_limit():
-    rig = Rig(rate_limit=0.5)
-    rig.run(0.1)
+    rig = standing(rate_limit=0.5)
     rig.core.play(rig.now, trajectory([0.0, 0.1], END, END))
     rig.run(1.0)
     assert rig.code() == 'playing'
@@ -47,8 +45,7 @@ def test_a_trajectory_that_is_too_fast_arrives_late_at_the_rate_limit():
 
 
 def test_a_target_ends_a_trajectory_and_a_trajectory_ends_a_target():
-    rig = Rig(rate_limit=10.0)
-    rig.run(0.1)
+    rig = standing(rate_limit=10.0)
     rig.core.play(rig.now, trajectory([5.0], END))
     rig.run(0.5)
     rig.core.aim(reachable())
@@ -90,8 +87,7 @@ def test_the_refusal_names_point_tendon_and_limits():
 
 def test_a_stop_and_a_lost_driver_end_a_trajectory():
     for event in ('stop', 'lost'):
-        rig = Rig(rate_limit=10.0)
-        rig.run(0.1)
+        rig = standing(rate_limit=10.0)
         rig.core.play(rig.now, trajectory([2.0], END))
         rig.run(0.5)
         if event == 'stop':
@@ -130,8 +126,7 @@ def test_the_prediction_of_an_arm_with_friction_follows_played_wire_pulls():
 
 def test_wire_pulls_are_commanded_as_they_were_given():
     goal = model().shape(np.array(END)).pulls
-    rig = Rig(pull_mode=True)
-    rig.run(0.1)
+    rig = standing(pull_mode=True)
     rig.core.play(rig.now, trajectory([1.0], goal, limits=None))
     rig.run(0.5)
     half = rig.outputs[-1].pulls

@@ -1,21 +1,17 @@
 """Whatever targets, twists and states come, commands stay within limits and rates."""
 
 import contextlib
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from control_rig import CYCLE, model
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tendon_robot_ros.common.errors import TendonRobotError
 from tendon_robot_ros.control import ControllerCore, Settings, Target, Twist, inputs
-from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.robot import load_robot
 
-ROBOTS = Path(__file__).parents[1] / 'config' / 'robots'
-RATE, CYCLE = 4.0, 0.005
+RATE = 4.0
 
 anything = st.floats(allow_nan=True, allow_infinity=True)
 near = st.floats(-0.25, 0.25)
@@ -31,11 +27,6 @@ messages = st.one_of(
     st.tuples(st.just('states'), tensions),
     st.tuples(st.sampled_from(['stop', 'reset', 'driver stops', 'driver follows', 'nothing'])),
 )
-
-
-@cache
-def model():
-    return Model(load_robot(ROBOTS / 'kato_10_1.yaml'))
 
 
 def tell(core, now, kind, *values):

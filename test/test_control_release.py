@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from control_rig import CYCLE, Rig, model, reachable
+from control_rig import CYCLE, model, reachable, standing
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.control import ControllerCore, Refusal, Settings, Target, Twist
@@ -253,8 +253,7 @@ def test_with_resume_it_goes_on_to_the_old_target_once_the_cause_is_gone():
 
 def test_what_the_driver_said_before_it_was_reset_stops_nothing():
     """Its answer comes at once, its status somewhat later."""
-    rig = Rig()
-    rig.run(0.1)
+    rig = standing()
     rig.core.driver_reports('', '', 1)
     rig.core.driver_reports('stop was called', 'stop was called', 2)
     rig.core.resumed()  # the driver has said so
@@ -269,8 +268,7 @@ def test_what_the_driver_said_before_it_was_reset_stops_nothing():
 
 
 def test_a_stop_of_a_driver_that_was_started_anew_counts():
-    rig = Rig()
-    rig.run(0.1)
+    rig = standing()
     for why, count in (('', 0), ('stop was called', 1)):
         rig.core.driver_reports(why, why, count)
     rig.core.resumed()
@@ -288,8 +286,7 @@ def refuse_a_target(rig):
 
 
 def test_a_refusal_because_of_a_stop_ends_with_it():
-    rig = Rig()
-    rig.run(0.1)
+    rig = standing()
     rig.core.stop('stop', 'stop was called')
     refuse_a_target(rig)
     rig.core.reset()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from friction_rig import TARGETS, Rig, model
+from friction_rig import TARGETS, standing
 
 from tendon_robot_ros.common.local_stop import SILENCE_S
 from tendon_robot_ros.control import Target
@@ -76,9 +76,7 @@ def test_a_model_that_is_far_off_its_arm_leads_to_diagnose(remembers):
 
 def seen(shift, seconds=5.0):
     """Close the loop on an arm whose tip is shifted (3,) [m] from its model's."""
-    rig, codes = Rig(known=False, tip_gain=5.0), []
-    rig.arm = model(False)
-    rig.run(0.05)
+    rig, codes = standing(remembers=False, tip_gain=5.0), []
     rig.core.aim(Target(rig.arm.shape(np.array(TARGETS[0])).tip_position))
     for _ in range(round(seconds / 0.02)):
         rig.run(0.02)

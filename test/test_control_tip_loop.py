@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from friction_rig import CYCLE, TARGETS, Rig, model
+from friction_rig import CYCLE, TARGETS, model, standing
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings, Target, target_search, tip_loop
@@ -104,9 +104,7 @@ def test_a_delay_that_is_told_only_shifts_the_answer(monkeypatch):
 
 def noisy(noise, seconds=3.0):
     """Return the commands (n, m) [N] of an arm at a target with a noisy tracker, and its error."""
-    rig = Rig(tip_gain=5.0)
-    random = np.random.default_rng(6)
-    rig.run(0.05)
+    rig, random = standing(tip_gain=5.0), np.random.default_rng(6)
     rig.core.aim(Target(model(False).shape(np.array(TARGETS[0])).tip_position))
     commands = []
     for _ in range(round(seconds / 0.02)):
@@ -127,8 +125,7 @@ def test_a_standing_arm_rests_within_the_noise_of_its_tracker():
 
 
 def test_an_arm_that_snaps_on_its_way_is_not_given_up_and_one_that_stays_away_is():
-    rig = Rig(tip_gain=5.0)
-    rig.run(0.05)
+    rig = standing(tip_gain=5.0)
     rig.core.aim(Target(model(False).shape(np.array(TARGETS[0])).tip_position))
 
     def told(seconds, away):
@@ -159,8 +156,7 @@ def test_an_arm_that_snaps_on_its_way_is_not_given_up_and_one_that_stays_away_is
 
 
 def test_a_comparison_that_ends_after_the_loop_was_left_changes_nothing():
-    rig = Rig(tip_gain=5.0)
-    rig.run(0.05)
+    rig = standing(tip_gain=5.0)
     rig.core.aim(Target(model(False).shape(np.array(TARGETS[0])).tip_position))
     core, solver, answers = rig.core, Solver(), []
     core.solver = SimpleNamespace(
@@ -182,8 +178,7 @@ def test_a_comparison_that_ends_after_the_loop_was_left_changes_nothing():
 
 
 def test_the_closed_loop_is_kept_on_a_way_that_bends_over():
-    rig = Rig(tip_gain=5.0, approach='from_below', rate_limit=3.0)
-    rig.run(0.05)
+    rig = standing(tip_gain=5.0, approach='from_below', rate_limit=3.0)
     rig.core.aim(Target(rig.shape.tip_position + [2e-3, 0.0, 0.0]))
     away, left = 0.0, ''
     for _ in range(200):
@@ -204,8 +199,7 @@ def test_the_closed_loop_begins_at_little_tension_where_friction_would_ask_for_m
     for share in shares[[3, 39]]:
         tip, most = arm.shape(low + 0.25 * (high - low) * share).tip_position, []
         for gain in (0.0, 5.0):
-            rig = Rig(tip_gain=gain)
-            rig.run(0.05)
+            rig = standing(tip_gain=gain)
             for tensions in TARGETS[:3]:
                 rig.go(tensions)
             rig.core.aim(Target(tip))
@@ -217,8 +211,7 @@ def test_the_closed_loop_begins_at_little_tension_where_friction_would_ask_for_m
 
 
 def test_where_one_search_has_no_equilibrium_another_one_counts(monkeypatch):
-    rig = Rig(tip_gain=5.0)
-    rig.run(0.05)
+    rig = standing(tip_gain=5.0)
     rig.go(TARGETS[0])
     reach = target_search.reach
 
