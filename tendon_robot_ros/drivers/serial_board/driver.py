@@ -158,15 +158,12 @@ class SerialDriver(PortDriver):
         self.telemetry = None
 
     def _tensions(self) -> tuple[Floats, Floats]:
-        tensions, doubt = self.measured_tensions(), np.zeros(len(self.inputs))
+        tensions = self._channels('tensions', ChannelFault.LOAD_CELL)
+        doubt = np.zeros(len(self.inputs))
         for k, tendon in enumerate(self.config.tendons):
             if tendon.cell is not None and np.isfinite(tensions[k]):
                 doubt[k] = tendon.cell.uncertainty(tensions[k])
         return tensions, doubt
-
-    def measured_tensions(self) -> Floats:
-        """Return measured tensions, shape (m,) [N]; nan where the load cell has a fault."""
-        return self._channels('tensions', ChannelFault.LOAD_CELL)
 
     def _pulls(self) -> Floats:
         """Return wire pulls from the zero, shape (m,) [m]; nan where the encoder has a fault."""
@@ -299,7 +296,8 @@ class SerialDriver(PortDriver):
                 self.refuse_cancelled()
                 self.command('tension', goal)
                 self.read_fresh()
-                off_target = ~(np.abs(self.measured_tensions() - goal) < TENSION_TOLERANCE * goal)
+                tensions, _ = self._tensions()
+                off_target = ~(np.abs(tensions - goal) < TENSION_TOLERANCE * goal)
                 if off_target.any():
                     steady = time.monotonic()
                 self._refuse_latched()
