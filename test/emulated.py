@@ -94,6 +94,11 @@ def line(
     return started(Rig(servos, wires, arm or SpringArm(stiffness * many, slack * many)), kind)
 
 
+def stepped(**changes):
+    """Return a line for which time passes only while a motion of the driver sleeps."""
+    return line(**changes, kind=SteppedLine)
+
+
 def antagonists(slack):
     """Two servos with two springs each, one on either side of the spool."""
     servos = [Servo(MODELS[MODEL], i) for i in (1, 2)]
@@ -206,7 +211,8 @@ def environment():
 
 
 def driver_for(line, mode='tension', **changes):
-    plain = config(line.port, home_speed=0.04, tension_rate=20.0, pull_rate=0.04, **changes)
+    quick = {'home_speed': 0.04, 'tension_rate': 20.0, 'pull_rate': 0.04}
+    plain = config(line.port, **{**quick, **changes})
     return make_driver('dynamixel', robot(), plain, mode=mode, source='arm.yaml')
 
 

@@ -3,6 +3,7 @@
 import contextlib
 import importlib.util
 import time
+from functools import partial
 
 import emulated
 import emulated_board
@@ -38,27 +39,16 @@ def mock(mode):
 
 
 @contextlib.contextmanager
-def dynamixel(mode):
-    with emulated.line(slack=0.0) as line:
-        config = emulated.config(line.port, zero='here', tension_rate=20.0, pull_rate=0.08)
-        driver = make_driver('dynamixel', emulated.robot(), config, mode=mode)
-        try:
-            yield driver
-        finally:
-            driver.close()
+def on_port(motors, driver_for, mode):
+    with motors() as line, contextlib.closing(driver_for(line, mode, zero='here')) as driver:
+        yield driver
 
 
-@contextlib.contextmanager
-def serial(mode):
-    with emulated_board.board() as line:
-        driver = emulated_board.driver_for(line, mode, zero='here')
-        try:
-            yield driver
-        finally:
-            driver.close()
-
-
-BACKENDS = {'mock': mock, 'dynamixel': dynamixel, 'serial': serial}
+BACKENDS = {
+    'mock': mock,
+    'dynamixel': partial(on_port, partial(emulated.line, slack=0.0), emulated.driver_for),
+    'serial': partial(on_port, emulated_board.board, emulated_board.driver_for),
+}
 if importlib.util.find_spec('dynamixel_sdk') is None:
     del BACKENDS['dynamixel']
 if importlib.util.find_spec('serial') is None or not emulated_board.compiler():

@@ -126,7 +126,7 @@ def scales(tmp_path, robot_file, monkeypatch):
     """Give calibrate, run for a tendon; Enter hangs the next weight on its motor."""
     arm = HangingWeights(np.zeros(4))
     large = {'model': 'XM430-W350', 'radius': 0.01}
-    with emulated.line(**large, arm=arm, kind=emulated.SteppedLine) as line:
+    with emulated.stepped(**large, arm=arm) as line:
         config = tmp_path / 'servos.yaml'
         config.write_text(
             yaml.safe_dump(emulated.config(line.port, model='XM430-W350', spool_radius=0.01))

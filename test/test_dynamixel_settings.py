@@ -172,8 +172,7 @@ def test_a_motor_held_back_by_something_else_has_not_found_its_wire(
 ):
     """Whoever writes a register while the slack is looked for makes no zero of it."""
     monkeypatch.setattr(motions, 'TURNING_TIMEOUT_S', 0.4)
-    stepped = emulated.line(kind=emulated.SteppedLine)
-    with stepped as line, emulated.driver_for(line, 'pull') as driver:
+    with emulated.stepped() as line, emulated.driver_for(line, 'pull') as driver:
         driver.cancelled = lambda: line.servo(1).put(register, value)
         with pytest.raises(MovedError, match=rf'east \(id 1\): ({words}|does not turn)'):
             driver.enable()

@@ -10,6 +10,7 @@ from dataclasses import replace
 import emulated
 import numpy as np
 import pytest
+from emulated import driver_for, stepped
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import make_driver, serial_port
@@ -21,15 +22,6 @@ pytest.importorskip('dynamixel_sdk')
 from tendon_robot_ros.drivers.dynamixel import motions
 from tendon_robot_ros.drivers.dynamixel import servos as module
 from tendon_robot_ros.drivers.dynamixel.bus import Bus
-
-
-def driver_for(line, mode='tension', **changes):
-    config = emulated.config(line.port, **{'home_speed': 0.04, **changes})
-    return make_driver('dynamixel', emulated.robot(), config, mode=mode, source='arm.yaml')
-
-
-def stepped(**arm):
-    return emulated.line(**arm, kind=emulated.SteppedLine)
 
 
 def refused_open(driver):

@@ -22,7 +22,7 @@ KINDS = {
         lambda line: emulated.driver_for(line, 'pull', home_travel=TRAVEL),
     ),
     'stepped': (
-        lambda: emulated.line(stiffness=0.0, kind=emulated.SteppedLine),
+        lambda: emulated.stepped(stiffness=0.0),
         lambda line: emulated.driver_for(line, 'pull', home_travel=TRAVEL),
     ),
     'serial': (
@@ -155,7 +155,7 @@ def test_a_plug_pulled_in_the_middle_gives_no_second_way(free):
 
 
 def test_a_search_that_succeeds_counts_for_nothing():
-    with emulated.line(slack=0.006, kind=emulated.SteppedLine) as line:
+    with emulated.stepped(slack=0.006) as line:
         begin = {servo: servo.motion.angle for servo in line.rig.servos.values()}
         for _ in range(3):  # 6 mm each: together more than one may
             with emulated.driver_for(line, 'pull', home_travel=TRAVEL) as driver:
@@ -174,8 +174,7 @@ def test_a_refusal_that_moved_nothing_may_be_tried_again():
 
 
 def test_torque_that_fails_after_a_search_is_not_tried_again_either(monkeypatch):
-    stepped = emulated.line(kind=emulated.SteppedLine)
-    with stepped as line, emulated.driver_for(line, 'pull') as driver:
+    with emulated.stepped() as line, emulated.driver_for(line, 'pull') as driver:
         find_slack = driver._find_slack
 
         def then_broken():
