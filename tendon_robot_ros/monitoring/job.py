@@ -38,7 +38,7 @@ RESULT, REPORT, BETTER = 'diagnosis.json', 'diagnosis.html', 'better.yaml'
 IMPROVED = 'improved.yaml'
 
 
-def send(kind: str, text: str = '', **values: Any) -> None:
+def send(kind: str, text: str, **values: Any) -> None:
     """Send a line to the parent, with a text for people."""
     print(json.dumps({'kind': kind, 'text': text, **values}), flush=True)
 
@@ -99,7 +99,6 @@ def work(folder: Path, effects: Sequence[str]) -> None:
 
             pictures = pictures_of(diagnosis, dataset, catalogue, addition)
             _report(diagnosis, folder / REPORT, addition, pictures)
-    send('done')
 
 
 def guide_of(verdict: Verdict, folder: Path) -> str:

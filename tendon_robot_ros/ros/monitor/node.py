@@ -197,8 +197,7 @@ class MonitorNode(ParameterNode):
                     news['file'],
                     lambda *answer: self._publish_progress(self.work.answered(*answer)),
                 )
-            if news['text']:
-                self._publish_progress(news['text'])
+            self._publish_progress(news['text'])
         level, code, message = self._condition()
         self.status.arm = '' if self.monitor is None else self.monitor.model.robot.name
         self.status.publish(level, code, message, self._values)
