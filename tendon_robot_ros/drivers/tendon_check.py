@@ -15,13 +15,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import yaml
 
 from ..common.arrays import Floats
 from ..common.errors import DriverError, InputError
 from ..common.files import write_text
 from ..common.processes import ends_between
-from ..common.yaml_reading import ConfigFields, read_yaml
+from ..common.yaml_reading import ConfigFields, dump_yaml, read_yaml
 from .interface import CYCLE_S, Driver
 
 RAMP_S = 4.0  # [s] to the reference tension, so that the arm follows without swinging
@@ -154,9 +153,8 @@ def save_reference(path: Path, reference: TendonReference) -> None:
     """Write a reference."""
     pulls, tensions = reference.pulls.round(7).tolist(), reference.tensions.round(5).tolist()
     lists = {'inputs': list(reference.inputs), 'pulls': pulls, 'tensions': tensions}
-    text = yaml.safe_dump(asdict(reference) | lists, sort_keys=False, default_flow_style=None)
     head = '# tendons at a reference posture, SI; written by motors calibrate --check\n'
-    write_text(path, head + text)
+    write_text(path, head + dump_yaml(asdict(reference) | lists))
 
 
 def due(path: Path) -> str:
