@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from marks import slow
 from source_tree import ROOT
-from watched_arm import NOISE, ROBOT, averaged, coarse, looked, postures
+from watched_arm import NOISE, ROBOT, alarm_of, alarms, averaged, coarse, looked, postures
 
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.data import default_markers
@@ -312,10 +312,8 @@ def known(learned):
 @pytest.fixture
 def watch(known):
     """Return one that knows as much and is nobody else's."""
-    made, arm = copy(known), known.alarm.arm
-    made.alarm = DriftAlarm(
-        arm.as_known(arm.mean.copy(), arm.covariance.copy()), known.settings.alarm_postures
-    )
+    made = copy(known)
+    made.alarm = alarm_of(known.alarm.arm, 20000.0)
     return made
 
 
@@ -337,14 +335,10 @@ def test_an_exact_arm_whose_load_cells_are_noisy_raises_no_alarm_and_a_gain_is_n
     arm.fit(read[:20], seen[:20], 30)
     assert not arm.mean.any() and not arm.covariance.any(), 'it is as described'
     alarm = DriftAlarm(arm)
-    for tensions, positions in zip(read[20:40], seen[20:40], strict=True):
-        assert not alarm.update(tensions, positions, 30).alarm
-    for tensions, positions in zip(read[40:], seen[40:], strict=True):
-        state = alarm.update(
-            tensions * np.where(np.arange(tensions.size) == 1, 1.03, 1.0), positions, 30
-        )
-    assert state.alarm
-    assert state.suspects[0].name == f'gain of {robot.inputs[1]}'
+    assert not any(alarms(alarm, read[20:40], seen[20:40]))
+    read[:, 1] *= 1.03
+    assert alarms(alarm, read[40:], seen[40:])[-1]
+    assert alarm.state.suspects[0].name == f'gain of {robot.inputs[1]}'
 
 
 def learned_from(robot, wrong=(), hidden=None):
@@ -566,9 +560,7 @@ def test_the_evidence_for_a_change_that_did_not_happen_is_one_on_average():
 
 def alarmed(watch, plant):
     """Let the arm stand until there is an alarm; return what an investigation gets to know."""
-    arm = watch.alarm.arm
-    alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 20000.0)
-    rows = postures(20, 12)
+    alarm, rows = alarm_of(watch.alarm.arm, 20000.0), postures(20, 12)
     for tensions, positions in zip(rows, looked(plant, rows, 5), strict=True):
         if alarm.update(tensions, positions).alarm:
             return alarm.finder

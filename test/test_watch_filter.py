@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from marks import slow
 from source_tree import ROOT
-from watched_arm import NOISE, ROBOT, averaged, postures
+from watched_arm import NOISE, ROBOT, alarm_of, alarms, averaged, postures
 
 from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.effects import load_catalogue
@@ -95,14 +95,10 @@ def test_where_an_arm_hardly_bends_and_kinks_turn_its_friction_over_nothing_is_t
 @pytest.mark.long
 def test_a_slightly_softer_cell_is_told_within_twenty_postures(well_known, cell):
     arm, _, random = well_known
-    alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 21600.0)
+    alarm = alarm_of(arm)
     soft = {'soft_cell': {'cell': cell, 'factor': 0.95}}
     plant = make_plant(ROBOT, soft, seed=12, work=Workmanship())
-    told = [
-        alarm.update(tensions, seen, 30).alarm
-        for tensions, seen in zip(*averaged(plant, postures(20, 2012), random), strict=True)
-    ]
-    assert told[-1]
+    assert alarms(alarm, *averaged(plant, postures(20, 2012), random))[-1]
     assert alarm.state.suspects[0].name in [f'stiffness of cell {cell + i}' for i in range(-1, 2)]
 
 
@@ -121,32 +117,25 @@ def test_the_filter_learns_nothing_of_one_odd_posture_and_no_alarm_comes_of_it(
 ):
     arm, free, random = well_known
     read, seen = averaged(free, postures(31, 1000 * seed), random)
-    as_before = arm.as_known(arm.mean.copy(), arm.covariance.copy())
-    alarm, without = DriftAlarm(as_before, 21600.0), DriftAlarm(as_before.as_known(
-        arm.mean.copy(), arm.covariance.copy()), 21600.0)  # fmt: skip
+    alarm, without = alarm_of(arm), alarm_of(arm)
     gain, shift = ODD_POSTURES[what]
-    states = [alarm.update(gain * read[0], seen[0] + shift, 30)]
-    for tensions, positions in zip(read[1:], seen[1:], strict=True):
-        states.append(alarm.update(tensions, positions, 30))
-        without.update(tensions, positions, 30)
-    assert states[0].evidence > alarm.threshold
-    assert not any(state.alarm for state in states)
+    first = alarm.update(gain * read[0], seen[0] + shift, 30)
+    assert first.evidence > alarm.threshold and not first.alarm
+    assert not any(alarms(alarm, read[1:], seen[1:]))
+    alarms(without, read[1:], seen[1:])
     assert alarm.arm.mean == pytest.approx(without.arm.mean, abs=1e-12)
-    assert states[-1].evidence < 50.0
+    assert alarm.state.evidence < 50.0
 
 
 @pytest.mark.long
 def test_the_filter_stays_the_arm_that_was_when_the_tracker_is_moved_far(well_known):
     """It followed by hundreds of sd, and ended without a positive covariance."""
     arm, _, random = well_known
-    alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 21600.0)
+    alarm = alarm_of(arm)
     moved = make_plant(ROBOT, {}, seed=12, work=Workmanship())
     moved.built.position[:] += [0.012, 0.0, 0.016]
     moved.built.rotation[:] += [0.0, np.radians(10.0), 0.0]
-    told = [
-        alarm.update(tensions, positions, 30).alarm
-        for tensions, positions in zip(*averaged(moved, postures(4, 6012), random), strict=True)
-    ]
+    told = alarms(alarm, *averaged(moved, postures(4, 6012), random))
     assert told == [False, True, True, True]
     assert alarm.arm.mean == pytest.approx(arm.mean, abs=1e-12)
     assert alarm.state.suspects[0].name == 'the tracker'
@@ -155,16 +144,12 @@ def test_the_filter_stays_the_arm_that_was_when_the_tracker_is_moved_far(well_kn
 @pytest.mark.long
 def test_a_load_after_an_odd_posture_is_told_and_named_as_without_it(well_known):
     arm, free, random = well_known
-    alarm = DriftAlarm(arm.as_known(arm.mean.copy(), arm.covariance.copy()), 21600.0)
+    alarm = alarm_of(arm)
     read, seen = averaged(free, postures(8, 3012), random)
     seen[1] += [0.0, 2e-3, 0.0]
-    for tensions, positions in zip(read, seen, strict=True):
-        assert not alarm.update(tensions, positions, 30).alarm
+    assert not any(alarms(alarm, read, seen))
     loaded = make_plant(ROBOT, {'tip_load': {'force_x': 0.004}}, seed=12, work=Workmanship())
-    told = [
-        alarm.update(tensions, positions, 30).alarm
-        for tensions, positions in zip(*averaged(loaded, postures(4, 4012), random), strict=True)
-    ]
+    told = alarms(alarm, *averaged(loaded, postures(4, 4012), random))
     assert told == [False, True, True, True]
     assert alarm.state.suspects[0].name == 'tip_load'
     assert alarm.state.suspects[0].values['force_x'] == pytest.approx(0.004, rel=0.1)

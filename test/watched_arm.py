@@ -6,6 +6,7 @@ import numpy as np
 from simulated import with_cells
 
 from tendon_robot_ros.data import default_markers
+from tendon_robot_ros.monitoring.watch import DriftAlarm
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.workspace.postures import default_postures
 
@@ -30,6 +31,17 @@ def looked(plant, rows, seed):
     arcs, offsets = (np.array([getattr(m, k) for m in markers]) for k in ('arc_length', 'offset'))
     seen = plant.markers(rows, arcs, offsets)
     return seen + np.random.default_rng(seed).normal(0.0, NOISE, seen.shape)
+
+
+def alarm_of(arm, count=21600.0):
+    """Return an alarm, false once in `count` postures, for an arm that learns nothing of it."""
+    return DriftAlarm(arm.as_known(arm.mean, arm.covariance), count)
+
+
+def alarms(alarm, read, seen):
+    """Stand at postures; return whether there is an alarm after each."""
+    postures = zip(read, seen, strict=True)
+    return [alarm.update(tensions, positions, 30).alarm for tensions, positions in postures]
 
 
 def averaged(plant, rows, random):
