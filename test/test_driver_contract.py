@@ -10,6 +10,7 @@ import emulated_board
 import numpy as np
 import pytest
 from plain import plain_numbers
+from springs import Springs
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import Driver, Reading, make_driver
@@ -17,25 +18,10 @@ from tendon_robot_ros.drivers import Driver, Reading, make_driver
 MODES = ('tension', 'pull')
 
 
-class SpringPlant:
-    """Independent springs for the mock: pull = tension / stiffness."""
-
-    class State:
-        def __init__(self, tensions, pulls):
-            self.inputs, self.pulls = tensions, pulls
-
-    def respond(self, tensions):
-        tensions = np.asarray(tensions, dtype=float)
-        return self.State(tensions, tensions / emulated.STIFFNESS)
-
-    def respond_to_pulls(self, pulls):
-        pulls = np.nan_to_num(np.asarray(pulls, dtype=float))
-        return self.State(np.maximum(pulls, 0.0) * emulated.STIFFNESS, pulls)
-
-
 @contextlib.contextmanager
 def mock(mode):
-    yield make_driver('mock', emulated.robot(), {'lag': 0.005}, mode=mode, plant=SpringPlant())
+    springs = Springs(1.0 / emulated.STIFFNESS)
+    yield make_driver('mock', emulated.robot(), {'lag': 0.005}, mode=mode, plant=springs)
 
 
 @contextlib.contextmanager

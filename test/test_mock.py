@@ -1,41 +1,18 @@
 """The mock lags, has noise and fails on request; its plant is given to it."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from springs import Springs
 
-from tendon_robot_ros.common.errors import DriverError, InputError
+from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.mock import FAULTS, MockConfig, MockDriver
 from tendon_robot_ros.robot import load_robot
 
 ROBOTS = Path(__file__).parents[1] / 'config' / 'robots'
 ROBOT = load_robot(ROBOTS / 'kato_10_1_single.yaml')
-
-
-@dataclass
-class State:
-    inputs: np.ndarray
-    pulls: np.ndarray
-
-
-class Spring:
-    """A plant with a millimetre of wire per newton."""
-
-    calls = 0
-
-    def respond(self, tensions):
-        self.calls += 1
-        if tensions.max() > 4.5:
-            raise InputError('too much')
-        return State(tensions.copy(), 1e-3 * tensions)
-
-    def respond_to_pulls(self, pulls):
-        self.calls += 1
-        known = np.nan_to_num(pulls)
-        return State(np.maximum(known, 0.0) * 1e3, known)
 
 
 class Clock:
@@ -47,7 +24,7 @@ class Clock:
 
 def mock(mode='tension', **config):
     clock = Clock()
-    driver = MockDriver(ROBOT, Spring(), MockConfig(**config), mode)
+    driver = MockDriver(ROBOT, Springs(1e-3, highest=4.5), MockConfig(**config), mode)
     driver.clock = clock
     driver.open()
     driver.enable()
@@ -169,7 +146,7 @@ def test_an_arm_that_cannot_respond_stays_where_it_is_and_says_why():
 )
 def test_a_wrong_configuration_is_refused(config, message):
     with pytest.raises(DriverError, match=message):
-        make_driver('mock', ROBOT, config, source='mock.yaml', plant=Spring())
+        make_driver('mock', ROBOT, config, source='mock.yaml', plant=Springs(1e-3))
 
 
 def test_faults_and_inputs_that_do_not_exist_are_refused():
