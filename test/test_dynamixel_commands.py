@@ -128,28 +128,16 @@ def scales(tmp_path, robot_file, monkeypatch):
     large = {'model': 'XM430-W350', 'radius': 0.01}
     with emulated.stepped(**large, arm=arm) as line:
         config = tmp_path / 'servos.yaml'
-        config.write_text(
-            yaml.safe_dump(emulated.config(line.port, model='XM430-W350', spool_radius=0.01))
-        )
+        content = emulated.config(line.port, model='XM430-W350', spool_radius=0.01)
+        config.write_text(yaml.safe_dump(content))
 
         def calibrate(tendon, masses=MASSES, **hung):
             pile = iter(hung.get('hung', masses))
             place = emulated.robot().inputs.index(tendon)
             monkeypatch.setattr('builtins.input', lambda _: arm.hang(place, next(pile)))
-            return main(
-                [
-                    'motors',
-                    'calibrate',
-                    'dynamixel',
-                    str(config),
-                    '--robot',
-                    robot_file,
-                    '--tendon',
-                    tendon,
-                ]
-                + ['--weights', *map(str, masses), '--out', str(tmp_path / 'lines.yaml')]
-                + ['--travel', '6', '--speed', '10']
-            )
+            call = f'motors calibrate dynamixel {config} --robot {robot_file} --tendon {tendon}'
+            more = f'--out {tmp_path / "lines.yaml"} --travel 6 --speed 10'
+            return main([*call.split(), '--weights', *map(str, masses), *more.split()])
 
         yield calibrate, line, config
 
@@ -242,12 +230,8 @@ def test_the_standard_errors_are_those_of_a_linear_regression():
     slopes, stated = [], []
     for _ in range(400):
         noise = random.normal(scale=0.01, size=9)
-        found = fit_current(
-            [
-                CurrentPoint(t, 0.1 + 0.05 * t + n, 0.04 * t)
-                for t, n in zip(tensions, noise, strict=True)
-            ]
-        )
+        rows = np.transpose([tensions, 0.1 + 0.05 * tensions + noise, 0.04 * tensions])
+        found = fit_current([CurrentPoint(*row) for row in rows])
         slopes.append(found.wind.slope)
         stated.append(found.wind.slope_error)
     assert np.std(slopes) == pytest.approx(np.mean(stated), rel=0.1)
@@ -256,20 +240,10 @@ def test_the_standard_errors_are_those_of_a_linear_regression():
 @pytest.mark.parametrize(
     ('points', 'words'),
     [
-        (
-            [
-                CurrentPoint(1.0, 0.1, 0.0),
-                CurrentPoint(1.0, 0.1, 0.0),
-                CurrentPoint(2.0, 0.2, 0.1),
-            ],
-            'at least 3 different weights, got 2',
-        ),
-        (
-            [CurrentPoint(t, 0.1, 0.01 * t) for t in (1.0, 2.0, 3.0)],
-            'does not grow with the weight',
-        ),
+        ([(1, 0.1, 0.0), (1, 0.1, 0.0), (2, 0.2, 0.1)], 'at least 3 different weights, got 2'),
+        ([(1, 0.1, 0.01), (2, 0.1, 0.02), (3, 0.1, 0.03)], 'does not grow with the weight'),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(points, words):
     with pytest.raises(InputError, match=words):
-        fit_current(points)
+        fit_current([CurrentPoint(*point) for point in points])

@@ -39,17 +39,8 @@ def test_calibrate_finds_zero_and_scale_of_a_load_cell_with_their_errors(
         monkeypatch.setattr('builtins.input', lambda _: line.obey(f'weight 1 {next(pile)}'))
         out = tmp_path / 'cells.yaml'
         out.write_text('east: {zero: 8000.0, newtons_per_count: 6.0e-6}\n')
-        command = [
-            'motors',
-            'calibrate',
-            'serial',
-            str(config),
-            '--robot',
-            robot_file,
-            '--tendon',
-            'north',
-        ]
-        code = main([*command, '--weights', *map(str, masses), '--output', str(out)])
+        call = f'motors calibrate serial {config} --robot {robot_file} --tendon north'
+        code = main([*call.split(), '--weights', *map(str, masses), '--output', str(out)])
         truth = line.rig.cells[1]
     assert code == 0
     assert 'uncertainty: 0.000' in capsys.readouterr().out

@@ -16,6 +16,7 @@ from source_tree import ROOT
 from tendon_robot_ros.drivers.serial_board import messages
 from tendon_robot_ros.drivers.serial_board.messages import (
     FRAME_BYTES_MAX,
+    Frame,
     FrameReceiver,
     Message,
     crc16,
@@ -59,13 +60,7 @@ def test_every_frame_is_read_as_it_was_written(kind, sequence, payload):
     data = encode(kind, sequence, payload)
     assert data.count(0) == 2
     assert len(data) - 2 <= FRAME_BYTES_MAX
-    frame = decode(data[1:-1])
-    assert (frame.version, frame.type, frame.sequence, frame.payload) == (
-        1,
-        kind,
-        sequence,
-        payload,
-    )
+    assert decode(data[1:-1]) == Frame(1, kind, sequence, payload)
 
 
 @needs_compiler
@@ -74,11 +69,7 @@ def test_every_frame_is_read_as_it_was_written(kind, sequence, payload):
 def test_board_and_computer_read_the_same_from_the_same_bytes(data):
     data = data.replace(b'\0', b'\1')
     frame = decode(data)
-    ours = (
-        None
-        if frame is None
-        else bytes((frame.version, frame.type, frame.sequence, len(frame.payload))) + frame.payload
-    )
+    ours = frame and bytes((*frame[:3], len(frame.payload))) + frame.payload
     assert firmware_of_eight().decode(data) == ours
 
 

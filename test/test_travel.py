@@ -2,6 +2,7 @@
 
 import threading
 import time
+from functools import partial
 
 import emulated
 import emulated_board
@@ -16,21 +17,13 @@ from tendon_robot_ros.drivers.dynamixel.control_table import Counts
 
 TRAVEL = 0.01  # [m]
 MORE = 0.002  # [m] the back-off, and what a motor turns until it is told to stop
-KINDS = {
-    'dynamixel': (
-        lambda: emulated.line(stiffness=0.0),
-        lambda line: emulated.driver_for(line, 'pull', home_travel=TRAVEL),
-    ),
-    'stepped': (
-        lambda: emulated.stepped(stiffness=0.0),
-        lambda line: emulated.driver_for(line, 'pull', home_travel=TRAVEL),
-    ),
-    'serial': (
-        lambda: emulated_board.board(stiffness=0.0),
-        lambda line: emulated_board.driver_for(
-            line, 'pull', home_travel=TRAVEL, home_tension=1.0, home_time=4.0
-        ),
-    ),
+PULL = {'mode': 'pull', 'home_travel': TRAVEL}
+SERVOS = partial(emulated.driver_for, **PULL)
+BOARD = partial(emulated_board.driver_for, **PULL, home_tension=1.0, home_time=4.0)
+KINDS = {  # motors, and the driver of them
+    'dynamixel': (emulated.line, SERVOS),
+    'stepped': (emulated.stepped, SERVOS),
+    'serial': (emulated_board.board, BOARD),
 }
 
 
@@ -41,7 +34,7 @@ class Free:
         if kind == 'serial' and emulated_board.compiler() is None:
             pytest.skip('no C compiler')
         make, self.driver = KINDS[kind]
-        self.kind, self.line = kind, make()
+        self.kind, self.line = kind, make(stiffness=0.0)
         self.begin = self.wound()
 
     def enabled(self):
@@ -78,7 +71,7 @@ class Free:
 def test_a_driver_that_is_opened_again_has_its_zero_where_the_wires_are_then(kind):
     if kind == 'serial' and emulated_board.compiler() is None:
         pytest.skip('no C compiler')
-    with KINDS[kind][0]() as line:
+    with KINDS[kind][0](stiffness=0.0) as line:
         maker = emulated if kind == 'dynamixel' else emulated_board
         driver = maker.driver_for(line, 'pull', zero='here')
         for _ in range(2):
