@@ -51,10 +51,10 @@ def standing(**settings):
     return rig
 
 
-def aimed(seconds, **settings):
+def aimed(seconds, target=None, **settings):
     """Return a rig that has been on its way to a target for so long [s]."""
     rig = standing(**settings)
-    rig.core.aim(reachable())
+    rig.core.aim(target or reachable())
     rig.run(seconds)
     return rig
 

@@ -117,9 +117,7 @@ def test_a_zero_twist_stops_at_once():
 
 def test_a_twist_may_hold_the_direction_and_may_be_given_in_tip_axes():
     def turned(**settings):
-        rig = standing(**settings)
-        rig.core.aim(reachable((0.3, 0.6, 0.3, 0.9)))
-        rig.run(1.0)
+        rig = aimed(1.0, reachable((0.3, 0.6, 0.3, 0.9)), **settings)
         start = model().shape(rig.tensions)
         along = Twist(np.array([0.01, 0.0, 0.0]), np.zeros(3), in_tip=True)
         rig.run(0.5, lambda rig: rig.core.twist(rig.now, along))
@@ -131,9 +129,7 @@ def test_a_twist_may_hold_the_direction_and_may_be_given_in_tip_axes():
 
 
 def test_a_turn_begins_where_the_tip_looks_after_it_was_moved():
-    rig = standing()
-    rig.core.aim(replace(reachable((0.3, 0.2, 0.2, 0.2)), direction=None))
-    rig.run(1.0)
+    rig = aimed(1.0, replace(reachable((0.3, 0.2, 0.2, 0.2)), direction=None))
     along = Twist(np.array([0.03, 0.0, 0.0]), np.zeros(3))
     rig.run(2.0, lambda rig: rig.core.twist(rig.now, along))
     before = model().shape(rig.tensions).tip_direction
@@ -172,9 +168,7 @@ def test_while_the_driver_is_stopped_it_follows_the_measured_state():
 
 
 def test_out_of_reach_is_said_with_the_distance():
-    rig = standing()
-    rig.core.aim(Target(np.array([0.2, 0.0, 0.2])))
-    rig.run(3.0)
+    rig = aimed(3.0, Target(np.array([0.2, 0.0, 0.2])))
     said = controller_status(rig.core, rig.now)
     assert said.code in ('nearest', 'at_limit')
     assert 'mm' in said.message
