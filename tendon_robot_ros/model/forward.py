@@ -286,8 +286,29 @@ class ForwardModel:
 
     @cached_property
     def library(self) -> ShapeBatch:
-        """Shapes all over the workspace, from which a cold search starts."""
-        return workspace_library(self)
+        """
+        Return shapes under random tensions within the limits; the seed is fixed.
+
+        A cold search starts from them. Tensions concentrate where a section bends by less than
+        three quarters of a turn, and half of the postures leave one of two opposing tendons at
+        its lower limit.
+        """
+        arrays, random = self.arrays, np.random.default_rng(1)
+        per_newton = np.linalg.norm(arrays.offset, axis=2) / arrays.cells[:, 1:2]  # (n, k) [rad/N]
+        by_section = [per_newton[span] for span in arrays.spans]
+        useful = [
+            USEFUL_BEND_RAD / max(rates[:, members].sum() for rates in by_section)
+            for members in map(list, self.robot.input_tendons)
+        ]  # (m,) [N] at which an input alone bends its section so (PCCA)
+        count = 1024 if self.implicit else 4096
+        low, high = self.limits.T
+        scale = np.minimum(high, low + useful)
+        spread = random.random((count, len(low)))
+        spread *= random.random((count, len(low))) < 0.6
+        top = np.where(random.random((count, 1)) < 0.25, high, scale)
+        inputs = low + spread * (top - low)
+        batch, changes = self.solve(inputs)
+        return batch.of(changes < TOLERANCE)
 
     @property
     def scratch(self) -> int:
@@ -312,28 +333,3 @@ class ForwardModel:
             named = named_values(self.inputs, inputs[bad[0]], 'N')
             where = f'posture {bad[0]} ({named})' if len(inputs) > 1 else named
             raise NoEquilibriumError(where, self.implicit_effects, float(changes[bad[0]]))
-
-
-def workspace_library(model: ForwardModel) -> ShapeBatch:
-    """
-    Return shapes under random tensions within the limits; the seed is fixed.
-
-    Tensions concentrate where a section bends by less than three quarters of a turn, and half of
-    the postures leave one of two opposing tendons at its lower limit.
-    """
-    arrays, random = model.arrays, np.random.default_rng(1)
-    per_newton = np.linalg.norm(arrays.offset, axis=2) / arrays.cells[:, 1:2]  # (n, k) [rad/N]
-    by_section = [per_newton[span] for span in arrays.spans]
-    useful = [
-        USEFUL_BEND_RAD / max(rates[:, members].sum() for rates in by_section)
-        for members in map(list, model.robot.input_tendons)
-    ]  # (m,) [N] at which an input alone bends its section so (PCCA)
-    count = 1024 if model.implicit else 4096
-    low, high = model.limits.T
-    scale = np.minimum(high, low + useful)
-    spread = random.random((count, len(low)))
-    spread *= random.random((count, len(low))) < 0.6
-    top = np.where(random.random((count, 1)) < 0.25, high, scale)
-    inputs = low + spread * (top - low)
-    batch, changes = model.solve(inputs)
-    return batch.of(changes < TOLERANCE)

@@ -126,13 +126,9 @@ class _Search:
         self.converged_cost, self.kink_cost = cost_of(converged), cost_of(4.0 * converged)
         counts = policy.change_weight > 0.0 and self.model.sticks
         self.previous = task.guess if counts else None  # changes from its tensions cost
-
-    @property
-    def relaxes(self) -> bool:
-        """Whether to go on from a solution to one of low tension."""
-        task = self.task
         free = not (task.by_pulls or task.preferences or self.previous)
-        return free and (self.policy.relax or task.guess is None)
+        # whether to go on from a solution to one of low tension
+        self.relaxes = free and (policy.relax or task.guess is None)
 
     def first_converged(self) -> TriedTensions:
         """Return the solution of the first start that converges, else the best of all."""

@@ -126,9 +126,9 @@ class Balance:
         enough = preferences.stiffness_enough or np.inf
         return float(np.log(min(max(stiffness, 1e-12), enough)))
 
-    def stiffness_slope(self, shape: Shape) -> Floats:
+    def stiffness_slope(self, at: Linearised) -> Floats:
         """Return the slopes (m,) of that logarithm by fractions of the range, by differences."""
-        slope = np.zeros(len(self.range))
+        slope, shape = np.zeros(len(self.range)), at.shape
         base = self.log_stiffness(shape)
         for j, width in enumerate(self.range):
             step = RANGE_TOLERANCE * width  # less would be noise: stiffness is a difference itself
@@ -136,11 +136,8 @@ class Balance:
                 step = -step
             moved = shape.inputs.copy()
             moved[j] += step
-            try:
-                shifted = self.task.shape(moved, shape.state)
-            except NoEquilibriumError:
-                continue
-            slope[j] = (self.log_stiffness(shifted) - base) / (step / width)
+            if (shifted := self.solve_at(at, moved)) is not None:
+                slope[j] = (self.log_stiffness(shifted.shape) - base) / (step / width)
         return slope
 
     def quadratic(self, at: Linearised) -> tuple[Floats, Floats]:
@@ -158,7 +155,7 @@ class Balance:
         counts[:2] = True  # low tension and little change count everywhere
         diagonal, slope = STEP_MIN + weights @ counts, weights @ distances
         if preferences.stiffness > 0.0:
-            slope = slope - preferences.stiffness * self.stiffness_slope(at.shape)
+            slope = slope - preferences.stiffness * self.stiffness_slope(at)
         return diagonal, slope
 
     def _squares(self, inputs: Floats) -> tuple[Floats, Floats]:
