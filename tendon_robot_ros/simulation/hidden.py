@@ -26,7 +26,7 @@ SCATTER_MAX = 0.2  # [1] 1 sd of any imperfection, else cells softer by five of 
 
 
 class Damage:
-    """Hidden damage of a robot of n cells, at first none; cells count as in their names."""
+    """Hidden damage of a robot of n cells, at first none."""
 
     def __init__(self, robot: Robot, seed: int) -> None:
         """Draw from the seed how gain and rotation vary from posture to posture."""
@@ -45,20 +45,15 @@ class Damage:
         phase = np.nan_to_num(inputs) @ self.waves[:, 1:].T + 7.0 * self.waves[:, 0]
         return np.sin(phase)
 
-    def cell(self, number: float) -> int:
-        """Return the index of a cell by its number."""
-        below = self.robot.plate_cells
-        n = self.robot.cells - below
-        if number not in range(1, n + 1):
-            raise EffectError(f'cell: expected a whole number from 1 (base) to {n}, got {number}')
-        return below + int(number) - 1
-
 
 def soft_cell(damage: Damage, cell: float | None = None, factor: float = 0.6) -> None:
-    """One cell is softer: its stiffness times `factor`."""
-    own = damage.robot.cells - damage.robot.plate_cells
-    softened = (2 * own + 2) // 3 if cell is None else cell
-    damage.stiffness[damage.cell(softened)] *= factor
+    """One cell, counted as in its name, is softer: its stiffness times `factor`."""
+    below = damage.robot.plate_cells
+    n = damage.robot.cells - below
+    number = (2 * n + 2) // 3 if cell is None else cell
+    if number not in range(1, n + 1):
+        raise EffectError(f'cell: expected a whole number from 1 (base) to {n}, got {number}')
+    damage.stiffness[below + int(number) - 1] *= factor
 
 
 def stiffness_gradient(damage: Damage, relative_change: float = 0.4) -> None:

@@ -153,12 +153,10 @@ def scaled_values(effect: Effect, values: EffectValues, robot: Robot, parts: int
 class PlantShape(Shape):
     """The real arm; its markers are in the tracker's frame."""
 
-    def __init__(self, shape: Shape, plant: Plant, inputs: Floats | None = None) -> None:
-        """Take a shape of the plant's model; `inputs` (m,) [N] without the hidden gain."""
+    def __init__(self, shape: Shape, plant: Plant) -> None:
+        """Take a shape of the plant's model."""
         super().__init__(shape.form, shape.block)
         self.plant = plant
-        if inputs is not None:
-            self.inputs[:] = inputs
 
     def markers(self, arc_length: Floats, offset: Floats) -> Floats:
         """Place markers (j, 3) [m] in the tracker's frame."""
@@ -194,7 +192,8 @@ class Plant:
         """
         requested = self.model.tensions(np.asarray(tensions, dtype=float))
         shape = self.model.follow(self._state, requested * self._gain(requested[None])[0])
-        self._state = PlantShape(shape, self, requested)
+        self._state = PlantShape(shape, self)
+        self._state.inputs[:] = requested  # without the hidden gain
         return self._state
 
     def forget(self) -> None:
