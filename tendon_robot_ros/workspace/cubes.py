@@ -79,11 +79,6 @@ class Reached:
         names[hull.vertices] = np.arange(len(hull.vertices))
         return self.tips[hull.vertices], names[hull.simplices], float(hull.volume)
 
-    @property
-    def edge_tensions(self) -> Floats:
-        """Tensions (e, m) [N] of the half of the cubes with the fewest neighbours."""
-        return np.asarray(self.tensions[self.neighbours <= np.median(self.neighbours)])
-
     @cached_property
     def outside(self) -> Bools:
         """Which cubes (c,) have a free neighbour, (c,)."""

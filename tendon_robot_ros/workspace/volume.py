@@ -264,7 +264,9 @@ class Stream:
             ]
             begins = not any(round_done == number for round_done, _ in self.finished)
             if number and batches and begins and len(self.tally.all):
-                edge = Reached(self.tally.all).edge_tensions
+                known = Reached(self.tally.all)
+                # the half of the cubes with the fewest neighbours
+                edge = known.tensions[known.neighbours <= np.median(known.neighbours)]
                 # thinned, because the start goes to every worker with every chunk
                 self.start = edge[:: max(len(edge) // (10 * ROWS_AT_ONCE), 1)]
             work = partial(sort_batches, self.sampling, number, self.start)
