@@ -275,7 +275,8 @@ def described_effect(
         per = parameter.per
         count = {'section': len(robot.sections), 'tendon': len(robot.tendons)}.get(per)
         if isinstance(value, tuple) and len(value) != count:
-            expected = f'{count} numbers (one per {per})' if per else 'one number'
+            many = count is not None and count > 1
+            expected = f'{count} numbers (one per {per})' if many else 'one number'
             raise RobotDescriptionError(robot.source, where, expected, list(value))
         low, high = parameter.described_bounds
         for number in numbers:
