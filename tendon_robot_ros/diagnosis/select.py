@@ -424,9 +424,7 @@ def hint(session: Session, current: Ranked, larger: Candidate) -> Hint:
     for factor in LADDER if remembers else ():
         moves.append(({free: sized(free, factor, session.predictor) for free in more}, 1.0))
     for free in () if remembers else more:
-        step = DIFFERENCE_STEP * free.parameter.typical
-        if value(free) + step > free.parameter.high:
-            step = -step
+        step = free.parameter.step(value(free), DIFFERENCE_STEP)
         moves.append(({free: value(free) + step}, step))
     gains = [-np.inf]
     for sizes, unit in moves:

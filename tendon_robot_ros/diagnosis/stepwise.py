@@ -108,8 +108,7 @@ class Rates:
             start, own = {}, []
             for free in block.frees:
                 value = self.predictor.start(free)
-                step = DIFFERENCE_STEP * free.parameter.typical
-                step = step if value + step <= free.parameter.high else -step
+                step = free.parameter.step(value, DIFFERENCE_STEP)
                 start[free] = value + step
                 rate = slopes.get(free)
                 own.append(self._slope({free: value + step}, step) if rate is None else rate)

@@ -88,6 +88,13 @@ class Parameter:
             return self.low, self.high
         return (0.02 if self.low > 0.0 else 2.0) * self.low, 2.0 * self.high
 
+    def step(self, value: float, share: float) -> float:
+        """Return a share of the typical size as a step from a value to where there is room."""
+        size, below = share * self.typical, value - self.low
+        if value + size > self.high and below > 0.0:
+            return -min(size, below)
+        return min(size, self.high - value)
+
     def sized(self, sizes: Mapping[str, float]) -> Parameter:
         """
         Return the parameter with bounds, neutral and typical value in its unit for one robot.

@@ -190,9 +190,8 @@ def is_tested(
     else:
         moves = []
         for free in candidate.frees:
-            own, value = free.parameter, point.get(free, predictor.value(free))
-            up = value + own.typical  # else to the side that has room
-            moves.append({free: up if up <= own.high else max(value - own.typical, own.low)})
+            value = point.get(free, predictor.value(free))
+            moves.append({free: value + free.parameter.step(value, 1.0)})
     for move in moves:
         moved = predictor.markers({**point, **move}, near=near)
         if moved is None:

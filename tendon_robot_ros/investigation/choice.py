@@ -276,13 +276,11 @@ class LinearDesign:
 
     def _slope(self, predictor: Predictor, free: FreeParameter, markers: Floats) -> Floats:
         """Return the derivative (P, J, 3) [m per unit] of the markers by a parameter."""
-        point, parameter = self.question.point, free.parameter
+        point = self.question.point
         value = point.get(free, predictor.value(free))
         # a long step, so that laws with a threshold show; shorter where there is no equilibrium
         for fraction in STEP_LENGTHS[1:]:
-            step = fraction * parameter.typical
-            if value + step > parameter.high:
-                step = -step
+            step = free.parameter.step(value, fraction)
             moved = predictor.markers({**point, free: value + step})
             if moved is not None:
                 return (moved - markers) / step

@@ -394,10 +394,8 @@ def differences(
     moves = np.zeros((len(parts), len(frees), P, 3 * J))
     base = solved(predictor.markers(point)) if frees else np.zeros(0)
     for (i, part), (k, free) in product(enumerate(parts), enumerate(frees)):
-        value, own = point.get(free, predictor.value(free)), free.parameter
-        step = part * own.typical
-        if value + step > own.high:
-            step = -min(step, value - own.low)
+        value = point.get(free, predictor.value(free))
+        step = free.parameter.step(value, part)
         moved = predictor.markers({**point, free: value + step}) if step else None
         if moved is not None:
             moves[i, k] = (moved - base).reshape(P, 3 * J) / step
