@@ -8,7 +8,7 @@ from measurements import TENTACLE
 from numpy.testing import assert_array_equal
 from small_dataset import INPUTS, ROBOT, SHAPES, write
 
-from tendon_robot_ros.common.errors import DataSetError, RobotDescriptionError
+from tendon_robot_ros.common.errors import DataSetError, InputError, RobotDescriptionError
 from tendon_robot_ros.data import Marker, default_markers, load_dataset, save_dataset
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot, parse_robot
@@ -122,6 +122,8 @@ def test_what_a_drum_winds_of_one_wire_it_pays_out_of_the_other(tmp_path):
 def test_a_drum_is_commanded_by_name_where_pulls_are(tmp_path):
     robot = replace(parse_robot(DRUM), exact=True)
     turned = Model(robot).pull_shape({'m1': 0.0006})
+    with pytest.raises(InputError, match="drum 'm1' and its wire 'left': name one of them"):
+        Model(robot).pull_shape({'m1': 0.0006, 'left': 0.001})
     wires = Model(robot).pull_shape([0.0006, -0.0006])
     assert turned.tip_position == pytest.approx(wires.tip_position, abs=1e-15)
     opposite = Model(robot).pull_shape({'m1': -0.0006})

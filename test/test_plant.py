@@ -188,6 +188,11 @@ def test_gain_and_rotation_go_with_the_posture_and_stay_in_their_size():
     true = turned.shapes(tensions[:5]).tip_position
     np.testing.assert_allclose(np.linalg.norm(seen[:, 0], axis=1), np.linalg.norm(true, axis=1))
     assert 1e-4 < largest(seen[:, 0], true) < 0.05 * 1.5 * plain.length
+    pulls = np.array([0.003, -0.003, 0.002, -0.002])
+    tip = np.array([plain.length]), np.zeros((1, 3))
+    recorded = turned.markers(pulls[None], *tip, displacement=True)[0]
+    live = turned.respond_to_pulls(pulls).markers(*tip)
+    np.testing.assert_allclose(live, recorded, atol=1e-7)
 
 
 def test_every_cause_shows_at_its_usual_size():

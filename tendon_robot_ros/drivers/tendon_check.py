@@ -134,7 +134,7 @@ def read_reference(path: Path) -> TendonReference:
         if (
             not isinstance(values, list)
             or len(values) != len(names)
-            or not all(isinstance(value, (int, float)) for value in values)
+            or not all(type(value) in (int, float) for value in values)
         ):
             raise top.error(key, f'a list of {len(names)} numbers', values)
         return np.array(values, dtype=float)

@@ -296,7 +296,7 @@ class Adaptation:
             why = listed(self.excluded) if self.excluded else 'the description has no effect'
             self.problem = f'nothing can follow: {why}; investigate, or add with data'
         elif model.remembers:
-            self.problem = 'nothing can follow: friction_memory depends on every earlier posture'
+            self.problem = 'nothing can follow: the arm remembers every earlier posture'
         self._arm = arm = BuiltArm(self.robot, model.catalogue, markers, noise)
         self._estimate = RecursiveEstimate(
             np.array([one.units(one.low) for one in self._adaptable]),

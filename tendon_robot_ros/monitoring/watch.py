@@ -4,10 +4,10 @@ Monitoring of a working robot: first the arm is learned, then drift and contact 
 The drift alarm is a sequential test with a stated false-alarm rate.
 
 `BuiltArm` predicts every posture at which the arm rests, with what its description is known to
-lack. A change theta (an effect of the
-catalogue appears, a cell gets softer, a gain changes, the tracker is bumped) since a posture
-shifts the innovations of its Kalman filter by G theta; the signatures G follow from the filter's
-gains (Willsky and Jones 1976). With theta ~ N(0, T) each change gives a likelihood ratio
+lack. A change theta (an effect of the catalogue appears, a cell gets softer, a gain changes, the
+tracker is bumped) since a posture shifts the innovations of its Kalman filter by G theta; the
+signatures G follow from the filter's gains (Willsky and Jones 1976). With theta ~ N(0, T) each
+change gives a likelihood ratio
 
     log E = 1/2 d' (C + T^-1)^-1 d - 1/2 log det(1 + T C),   C = sum G' S^-1 G,  d = sum G' S^-1 nu
 

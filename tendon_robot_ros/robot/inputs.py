@@ -97,10 +97,13 @@ def wire_pulls(robot: Robot, pulls: TensionsLike) -> Floats:
     Raises
     ------
     InputError
-        Unknown names, or values that are no lengths.
+        Unknown names, a drum beside its wire, or values that are no lengths.
 
     """
     if (named := named_columns(pulls)) is not None:
+        for drum, wires in robot.drums.items():
+            if drum in named and (own := [wire for wire in wires if wire in named]):
+                raise InputError(f'pulls: drum {drum!r} and its wire {own[0]!r}: name one of them')
         pulls = robot.wound({key: np.nan if x is None else x for key, x in named.items()})
     ordered = _in_order('pulls', robot, pulls, np.nan)
     try:

@@ -153,15 +153,17 @@ def scaled_values(effect: Effect, values: EffectValues, robot: Robot, parts: int
 class PlantShape(Shape):
     """The real arm; its markers are in the tracker's frame."""
 
-    def __init__(self, shape: Shape, plant: Plant) -> None:
-        """Take a shape of the plant's model."""
+    def __init__(
+        self, shape: Shape, plant: Plant, command: Floats, displacement: bool = False
+    ) -> None:
+        """Take a shape of the plant's model, and the tensions [N] or pulls [m] (m,) for it."""
         super().__init__(shape.form, shape.block)
-        self.plant = plant
+        self.plant, self.command, self.displacement = plant, command, displacement
 
     def markers(self, arc_length: Floats, offset: Floats) -> Floats:
         """Place markers (j, 3) [m] in the tracker's frame."""
         placed = self.batch.markers(arc_length, offset)
-        observed: Floats = self.plant.tracked(placed, self.inputs[None])[0]
+        observed: Floats = self.plant.tracked(placed, self.command[None], self.displacement)[0]
         return observed
 
 
@@ -192,7 +194,7 @@ class Plant:
         """
         requested = self.model.tensions(np.asarray(tensions, dtype=float))
         shape = self.model.follow(self._state, requested * self._gain(requested[None])[0])
-        self._state = PlantShape(shape, self)
+        self._state = PlantShape(shape, self, requested)
         self._state.inputs[:] = requested  # without the hidden gain
         return self._state
 
@@ -204,7 +206,7 @@ class Plant:
         """Return the arm under wire pulls (m,) [m], nan = slack, that follow the last call's."""
         target = np.asarray(pulls, dtype=float)
         shape = self.model.follow_pulls(self._state, target * self._gain(target[None], True)[0])
-        self._state = PlantShape(shape, self)
+        self._state = PlantShape(shape, self, target, displacement=True)
         return self._state
 
     def shapes(
