@@ -23,9 +23,10 @@ from ..diagnosis.result import Diagnosis
 from ..diagnosis.verdict import Verdict
 from ..inference.discrepancy import since
 from ..inference.statistics import ERRORS
-from ..report import comparison as comparison_report
 from ..report import diagnosis_text, improvement_page
+from ..report.comparison import comparison_page
 from ..report.diagnosis_page import diagnosis_page, pictures_of
+from ..report.page import Page
 from ..robot import Robot, load_robot
 from . import options
 from .main import ExitCode
@@ -70,11 +71,10 @@ class Compare:
             catalogue = options.effects_of(args)
             models = named_models(args, dataset)
             comparison = compare(dataset, models, catalogue, args.error, progress=show)
-        lines = [comparison_report.table(comparison), *comparison_report.sentences(comparison)]
+        text = comparison.text()
         if args.report:
-            page = comparison_report.comparison_page(comparison)
-            lines.append(f'report: {page.write(args.report)}')
-        options.emit(args, to_json(comparison), '\n'.join(lines))
+            text += f'\nreport: {comparison_page(comparison).write(args.report)}'
+        options.emit(args, to_json(comparison), text)
         return 0
 
 
@@ -162,24 +162,17 @@ class Diagnose:
                 added = add_effects(
                     dataset, names, None, catalogue, check, effects, partial=outside
                 )
-        lines = [*diagnosis_text.lines(diagnosis), *diagnosis_text.trust_lines(diagnosis)]
-        content: dict[str, Any] = diagnosis.to_json()
+        lines, content, robot, page = [diagnosis.text()], diagnosis.to_json(), None, None
         if added is not None:
             lines += [diagnosis_text.never_used(added), *diagnosis_text.addition_warnings(added)]
             content['added'] = added.to_json()
+            robot = added.robot if added.helps and args.add and may_add else None
         outcome = outcome_of(args.add, diagnosis, added, may_add) if args.add else ''
-        lines += [outcome] if outcome else []
         if args.report:
             pictures = pictures_of(diagnosis, dataset, catalogue, added)
-            said = outcome.replace('    ', '; ')
-            diagnosis_page(diagnosis, pictures, added, said).write(args.report)
-            lines.append(f'report: {args.report}')
-        written = added is not None and added.helps and args.add and may_add
-        if added is not None and written:
-            options.write_description(added.robot, args.add)
-        content['written'] = args.add if written else None
-        options.emit(args, content, '\n'.join(lines))
-        return ExitCode.REFUSED if args.add and not written and outside else 0
+            page = diagnosis_page(diagnosis, pictures, added, outcome.replace('    ', '; '))
+        code = conclude(args, args.add, content, [*lines, outcome], robot, page)
+        return code if args.add and outside else 0
 
 
 def outcome_of(new: str, diagnosis: Diagnosis, addition: Addition | None, may_add: bool) -> str:
@@ -230,26 +223,26 @@ class Add:
             show(f'fitting {" and ".join(args.effects)}', 0, 0)
             addition = add_effects(dataset, args.effects, None, catalogue, check)
         robot = addition.robot if addition.helps else None
-        lines = [*diagnosis_text.addition_lines(addition)]
-        return conclude(args, addition.to_json(), lines, robot, diagnosis_text.NOT_WRITTEN)
+        outcome = options.next_step(args.output) if robot else diagnosis_text.NOT_WRITTEN
+        lines = [addition.text(), outcome]
+        return conclude(args, args.output, addition.to_json(), lines, robot)
 
 
 def conclude(
     args: argparse.Namespace,
+    new: str,
     content: dict[str, Any],
     lines: list[str],
     robot: Robot | None,
-    refusal: str,
-    page: Path | None = None,
+    page: Page | None = None,
 ) -> int:
-    """Write a better description, if there is one, and print; return the exit code."""
-    if robot is not None:
-        options.write_description(robot, args.output)
-    lines.append(refusal if robot is None else options.next_step(args.output))
+    """Write a page and a better description, if there are any, and print; return the exit code."""
     if page is not None:
-        lines.append(f'report: {page}')
-    written = None if robot is None else args.output
-    options.emit(args, {**content, 'written': written}, '\n'.join(lines))
+        lines.append(f'report: {page.write(args.report)}')
+    if robot is not None:
+        options.write_description(robot, new)
+    written = None if robot is None else new
+    options.emit(args, {**content, 'written': written}, '\n'.join(filter(None, lines)))
     return ExitCode.REFUSED if robot is None else 0
 
 
@@ -325,9 +318,9 @@ class Improve:
             dataset, check, catalogue = options.load_judged(args, show)
             improvement = improve(dataset, None, catalogue, check, progress=show)
         robot = improvement.robot if improvement.taken else None
-        lines, page = improvement_page.improvement_lines(improvement), None
+        outcome = options.next_step(args.output) if robot else improvement_page.NOT_WRITTEN
+        page = None
         if args.report:
-            built = improvement_page.improvement_page(improvement, dataset, catalogue)
-            page = built.write(args.report)
-        refusal = improvement_page.NOT_WRITTEN
-        return conclude(args, improvement.to_json(), lines, robot, refusal, page)
+            page = improvement_page.improvement_page(improvement, dataset, catalogue)
+        lines = [improvement.text(), outcome]
+        return conclude(args, args.output, improvement.to_json(), lines, robot, page)

@@ -9,7 +9,6 @@ from ..common.errors import MissingExtraError
 from ..diagnosis.add import add_effects
 from ..diagnosis.diagnose import diagnose
 from ..effects import load_catalogue
-from ..report.diagnosis_text import lines
 from ..simulation.hidden import STIFFNESS_SCATTER
 from ..simulation.measurements import simulate
 from ..simulation.plant import make_plant
@@ -38,7 +37,7 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
         )
         diagnosis = diagnose(fit, None, catalogue, progress=show)
     story = Story(hidden, diagnosis.to_json())
-    print(*lines(diagnosis), sep='\n')
+    print(diagnosis.text())
     if diagnosis.adds:
         names = [effect.name for effect in diagnosis.effects]
         addition = add_effects(fit, names, None, catalogue, check, diagnosis.effects)

@@ -32,7 +32,7 @@ from ..inference.noise import Noise
 from ..model.model import Model
 from ..monitoring.change import ChangeFinder
 from ..report.diagnosis_page import diagnosis_page, pictures_of, with_effects
-from ..report.diagnosis_text import addition_warnings, lines, never_used
+from ..report.diagnosis_text import addition_warnings, never_used
 from ..robot import dump_robot
 from ..robot.estimates import MODEL_ERROR_MAX, natural_sizes
 from ..robot.keep_out import KeepOut
@@ -349,7 +349,7 @@ def write_results(findings: Findings, folder: Path, catalogue: Catalogue, add: b
         (folder / RECORDING).unlink(missing_ok=True)
         export_bag(findings.dataset, folder / RECORDING)
         written.append(RECORDING)
-    text = [] if diagnosis is None else ['', *lines(diagnosis)]
+    text = [] if diagnosis is None else ['', diagnosis.text()]
     if diagnosis is not None:
         diagnosis.save(folder / RESULT)
         written.append(RESULT)
