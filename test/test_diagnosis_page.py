@@ -182,7 +182,7 @@ def test_found_values_go_into_the_description():
 
 
 def test_hinge_friction_is_a_straight_line_in_the_total_tension(hinges):
-    lacks = pictures_of(diagnosis('missing_effect'), hinges).before
+    _, (lacks, _) = pictures_of(diagnosis('missing_effect'), hinges)
     total, moment = lacks.total_tension[:, 0], lacks.moment[:, 0]
     slope = float(total @ moment / (total @ total))
     assert slope == pytest.approx(-1.58e-4, rel=0.15)
@@ -252,13 +252,14 @@ def test_blocks_do_not_outnumber_the_markers():
 
 
 def test_heat_maps_share_their_colours_and_units(hinges):
-    shown = pictures_of(diagnosis('missing_effect'), hinges)
-    before, after = heat_maps(shown.comparison, shown.before, shown.after)
+    comparison, lacks = pictures_of(diagnosis('missing_effect'), hinges)
+    before, after = heat_maps(comparison, lacks)
     assert before.data[0]['zmax'] == after.data[0]['zmax'] == -before.data[0]['zmin']
     assert (before.title, after.title) == ('Deviation, as described',
                                            'Deviation, with hinge_friction')  # fmt: skip
-    assert np.abs(shown.after.deviation).mean() < 0.2 * np.abs(shown.before.deviation).mean()
-    for figure in moments(shown.before):
+    now, then = (np.abs(one.deviation).mean() for one in lacks[::-1])
+    assert now < 0.2 * then
+    for figure in moments(lacks[0]):
         for axis in ('xaxis', 'yaxis'):
             assert re.search(r'\[(N|mN·m|°|mm)\]$', figure.layout[axis]['title']['text'])
 
@@ -267,7 +268,7 @@ def test_no_noise_no_heat_map():
     data = load_dataset(blind('b') / 'fit')
     alone = replace(data, positions=data.positions[:, :1], position_noise=None, trial_names=('0',))
     shown = pictures_of(diagnosis('cannot_judge', ()), alone)
-    assert shown.before is None
+    assert shown[1] == []
     assert 'Deviation' not in text(diagnosis_page(diagnosis('cannot_judge', ()), shown))
 
 

@@ -209,7 +209,7 @@ def test_the_diagnosis_says_and_draws_where_the_model_is_wrong():
     )
     assert line.endswith('more than described')
     page = Page('Page')
-    add_shapes(page, pictures_of(diagnosis, dataset, CATALOGUE).comparison, [fault])
+    add_shapes(page, pictures_of(diagnosis, dataset, CATALOGUE)[0], [fault])
     assert sum(part.count('wrong here') for part in page.parts) == len(dataset.postures)
     assert any('here the model is wrong' in part for part in page.parts)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -38,13 +37,9 @@ CANDIDATE_HEAD = [
 ]
 
 
-@dataclass(frozen=True, eq=False)
-class Pictures:
-    """Measurements against the description before and, where something is to add, after."""
-
-    comparison: Comparison
-    before: MissingMoment | None
-    after: MissingMoment | None
+# measurements against the description before and, where something is to add, after; the moments
+# that each lacks, none where the noise is not known
+Pictures = tuple[Comparison, list[MissingMoment]]
 
 
 def pictures_of(
@@ -87,7 +82,7 @@ def pictures_of(
     except NoEquilibriumError:
         return None
     lacks = [missing_moment(dataset, one, comparison.measured, catalogue) for _, one in models]
-    return Pictures(comparison, lacks[0], lacks[1] if len(lacks) > 1 else None)
+    return comparison, [one for one in lacks if one is not None]
 
 
 def with_effects(diagnosis: Diagnosis, robot: Robot, catalogue: Catalogue) -> Robot:
@@ -252,7 +247,7 @@ def pushes_of(diagnosis: Diagnosis) -> dict[str, Push]:
 
 def add_pictures(page: Page, pictures: Pictures, diagnosis: Diagnosis) -> None:
     """Add shapes, errors, heat maps and missing moments, and mark where the model is wrong."""
-    comparison, details = pictures.comparison, diagnosis.details
+    (comparison, lacks), details = pictures, diagnosis.details
     faults = details.get('local_faults', ())
     page.heading('Where the model is off')
     if (reference := details.get('reference')) is not None:
@@ -262,17 +257,17 @@ def add_pictures(page: Page, pictures: Pictures, diagnosis: Diagnosis) -> None:
         )
     page.text(*(f'{capital(line)}.' for line in where_wrong(faults)))
     page.figures([per_marker(comparison), per_posture(comparison)], 'two')
-    if pictures.before is not None:
+    if lacks:
         page.text(
             'Deviation to the side, measured minus model, in standard deviations of the noise: '
             'orange bends more than the model, blue less.'
         )
-        page.figures(heat_maps(comparison, pictures.before, pictures.after), 'two')
+        page.figures(heat_maps(comparison, lacks), 'two')
         page.heading('The moment that the model lacks')
         page.text(
             'Estimated in blocks of cells, with 95 % intervals; positive would bend the arm more. '
             'What it follows hints at its cause; the verdict does not rest on these pictures.'
         )
-        page.figures(moments(pictures.before), 'two')
+        page.figures(moments(lacks[0]), 'two')
     add_loops(page, comparison)
     add_shapes(page, comparison, faults, pushes_of(diagnosis))

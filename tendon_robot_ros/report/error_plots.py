@@ -60,7 +60,7 @@ def symbols(model: int, size: int | None = None) -> Trace:
 def per_marker(comparison: Comparison) -> Figure:
     """Error along the arm, with the band that a perfect model would lie in."""
     measured = comparison.measured
-    along = places(comparison)
+    along, title = along_the_arm(comparison)
     data: list[Trace] = []
     if measured.floor_per_marker is not None:
         floor, name = mm_list(measured.floor_per_marker), 'repeatability (a perfect model)'
@@ -68,7 +68,7 @@ def per_marker(comparison: Comparison) -> Figure:
     for i, model in enumerate(comparison.models):
         data.append(curve(along, mm_list(model.per_marker_rms), model.name, line_style(i), size=7))
     error = _error_axis(comparison, 'error, rms over postures [mm]')
-    return Figure(data, axes(place_title(comparison), error), 'Error along the arm')
+    return Figure(data, axes(title, error), 'Error along the arm')
 
 
 def per_posture(comparison: Comparison) -> Figure:
@@ -94,7 +94,7 @@ def per_posture(comparison: Comparison) -> Figure:
 def angles(comparison: Comparison, p: int) -> Figure:
     """Angular displacement per cell of a posture, as figures 12 to 14 of Kato et al. 2015."""
     mean, half = comparison.angle_bands()
-    along = places(comparison)
+    along, title = along_the_arm(comparison)
     data: list[Trace] = []
     for i, model in enumerate(comparison.models):
         assert model.angles is not None
@@ -103,7 +103,7 @@ def angles(comparison: Comparison, p: int) -> Figure:
     points = along, degrees_list(mean[p])
     name = f'measured, mean ± {interval_name(comparison)}'
     data.append(trace(*points, name, 'markers', error_y=bars, marker=marker))
-    layout = axes(place_title(comparison), 'angular displacement [°]')
+    layout = axes(title, 'angular displacement [°]')
     return Figure(data, layout, capital(posture_name(comparison, p)))
 
 
@@ -220,34 +220,26 @@ def _error_axis(comparison: Comparison, title: str) -> dict[str, Any]:
     return titled(title, **(LOG_AXIS if wide else {'rangemode': 'tozero'}))
 
 
-def places(comparison: Comparison) -> list[float | None]:
-    """Return where the markers stand on the axis along the arm: cells, or mm."""
+def along_the_arm(comparison: Comparison) -> tuple[list[float | None], str]:
+    """Return where the markers stand on the axis along the arm, and its title: cells, or mm."""
     measured = comparison.measured
     if measured.per_cell:
-        return [float(i + 1) for i in range(len(measured.markers))]
-    return mm_list(measured.arc_lengths)
+        return plain(np.arange(1, len(measured.markers) + 1)), 'cell'
+    return mm_list(measured.arc_lengths), 'distance from the base along the arm [mm]'
 
 
-def place_title(comparison: Comparison) -> str:
-    """Name the axis along the arm."""
-    return 'cell' if comparison.measured.per_cell else 'distance from the base along the arm [mm]'
-
-
-def heat_maps(
-    comparison: Comparison, before: MissingMoment, after: MissingMoment | None
-) -> list[Figure]:
+def heat_maps(comparison: Comparison, lacks: Sequence[MissingMoment]) -> list[Figure]:
     """Return signed deviations, marker by posture, before and after, in the same colours."""
-    largest = float(np.clip(np.nanmax(np.abs(before.deviation)), *Shown.COLOURS_END_SD))
+    largest = float(np.clip(np.nanmax(np.abs(lacks[0].deviation)), *Shown.COLOURS_END_SD))
     measured, figures = comparison.measured, []
     rows = np.flatnonzero(measured.trials).tolist()
-    for model, lacks in zip(comparison.models, (before, after), strict=False):
-        if lacks is None:
-            continue
+    along, title = along_the_arm(comparison)
+    for model, own in zip(comparison.models, lacks, strict=True):
         heat = {
             'type': 'heatmap',
-            'x': places(comparison),
+            'x': along,
             'y': [escape(measured.postures[p]) for p in rows],
-            'z': [plain(lacks.deviation[p], places=2) for p in rows],
+            'z': [plain(own.deviation[p], places=2) for p in rows],
             'zmin': -largest,
             'zmax': largest,
             'colorscale': DIVERGING,
@@ -255,7 +247,7 @@ def heat_maps(
             'hovertemplate': '%{x}, posture %{y}: %{z:.1f} sd<extra></extra>',
         }
         y = titled('posture', type='category', autorange='reversed')
-        layout = axes(place_title(comparison), y, margin={'l': 56, 'r': 8, 't': 8, 'b': 44})
+        layout = axes(title, y, margin={'l': 56, 'r': 8, 't': 8, 'b': 44})
         # a line of text for every posture, within what a screen shows
         height = int(np.clip(150 + 18 * len(rows), HEIGHTS_PX['low'], HEIGHTS_PX['scene']))
         figures.append(Figure([heat], layout, f'Deviation, {model.name}', '', height))
