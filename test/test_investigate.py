@@ -36,7 +36,7 @@ from tendon_robot_ros.investigation.goal import (
     settled,
     widest,
 )
-from tendon_robot_ros.investigation.loop import Findings, Investigation, write_results
+from tendon_robot_ros.investigation.loop import Investigation
 from tendon_robot_ros.investigation.measuring import BETTER, PostureMeasured, Record, empty_dataset
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
@@ -293,10 +293,9 @@ def test_resumed_it_takes_more_trials_than_were_seen_before(tmp_path, trials):
 
 def test_what_was_named_before_is_not_what_a_resumed_investigation_found(tmp_path):
     investigation = Investigation(exact_arm({}), Goal(), tmp_path / 'again')
-    better, record = tmp_path / 'again' / BETTER, investigation.record
+    better = tmp_path / 'again' / BETTER
     better.write_text('of an earlier run\n')
-    findings = Findings(InvestigationEnd.BUDGET, None, record.dataset, record)
-    write_results(findings, tmp_path / 'again', investigation.catalogue, add=False)
+    investigation.write_results()
     assert not better.exists()
 
 

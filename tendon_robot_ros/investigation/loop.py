@@ -12,9 +12,8 @@ from __future__ import annotations
 
 import importlib.util
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -64,28 +63,8 @@ NARROWING_MIN = 0.5
 NARROWING_FROM = 8
 
 
-@dataclass(frozen=True)
-class Findings:
-    """The result of an investigation."""
-
-    outcome: InvestigationEnd
-    diagnosis: Diagnosis | None
-    dataset: DataSet
-    record: measuring.Record
-    addition: Addition | None = None  # fitted effects, and their error on fresh postures
-    check: DataSet | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Return why it ended, the verdict, and what was added."""
-        return {
-            **self.record.outcome,
-            'diagnosis': None if self.diagnosis is None else self.diagnosis.to_json(),
-            'added': None if self.addition is None else self.addition.to_json(),
-        }
-
-
 class Investigation:
-    """One investigation of an arm."""
+    """One investigation of an arm, and its result."""
 
     def __init__(
         self,
@@ -127,14 +106,30 @@ class Investigation:
         begin = measuring.Record.resume if resume else measuring.Record.begin
         self.record = begin(arm, folder, trials)  # type: ignore[arg-type]
         self.diagnosis: Diagnosis | None = None
+        self.outcome: InvestigationEnd | None = None
+        self.addition: Addition | None = None  # fitted effects, and their error on fresh postures
+        self.check: DataSet | None = None
         self._suspected: list[str] = []  # effects that have appeared since an alarm
         room = Room(regions or KeepOut(), MODEL_ERROR_MAX * arm.robot.length)
         self.measurer = measuring.Measurer(arm, self.record, room, trials, goal, report)
         self._deadline = time.monotonic() + 60.0 * goal.minutes
 
-    def run(self) -> Findings:
+    @property
+    def dataset(self) -> DataSet:
+        """What was measured, the fresh postures apart."""
+        return self.record.dataset
+
+    def to_json(self) -> dict[str, Any]:
+        """Return why it ended, the verdict, and what was added."""
+        return {
+            **self.record.outcome,
+            'diagnosis': None if self.diagnosis is None else self.diagnosis.to_json(),
+            'added': None if self.addition is None else self.addition.to_json(),
+        }
+
+    def run(self) -> Self:
         """
-        Ask until enough is known, verify, and let the arm go whatever happens.
+        Ask until enough is known, verify, and let the arm go whatever happens; return itself.
 
         Raises
         ------
@@ -144,9 +139,10 @@ class Investigation:
 
         """
         try:
-            outcome = self.ask()
-            self.report_end(outcome)
-            return self.verified(outcome)
+            self.outcome = self.ask()
+            self.report_end(self.outcome)
+            self.verify()
+            return self
         finally:
             try:
                 self.arm.release()
@@ -163,7 +159,7 @@ class Investigation:
             if suspects and not self._suspected:  # a cell, a gain, the tracker
                 return InvestigationEnd.CHANGED
         while True:
-            have = len(self.record.dataset.postures)
+            have = len(self.dataset.postures)
             if have >= self.goal.start:
                 outcome = self.judge()
                 if outcome is not None:
@@ -174,7 +170,7 @@ class Investigation:
             if self.arm.path == 'sequence':  # the next one depends on where this one was
                 count = 1
             offered, count = self.offered(), min(count, self.goal.postures - have)
-            choices = choose(self.question(), self.record.dataset, offered, self.catalogue, count)
+            choices = choose(self.question(), self.dataset, offered, self.catalogue, count)
             gain = choices[0][1] if choices else 0.0
             least = NARROWING_MIN if have >= NARROWING_FROM else GAIN_MIN
             if twice(Verdict.ADEQUATE, self.record.rounds) and gain < least:
@@ -190,7 +186,7 @@ class Investigation:
 
     def offered(self) -> Floats:
         """Return the postures (b, m) [N] or [m] that may be chosen now."""
-        rows = pool(self.guess, self.goal, self.measurer.room, self.record.dataset)
+        rows = pool(self.guess, self.goal, self.measurer.room, self.dataset)
         return self.measurer.untried(rows)
 
     def question(self) -> OpenQuestion:
@@ -250,7 +246,7 @@ class Investigation:
 
     def judge(self) -> InvestigationEnd | None:
         """Diagnose the measurements; return why the investigation ends, None if it goes on."""
-        dataset = self.record.dataset
+        dataset = self.dataset
         diagnosis = diagnose(dataset, None, self.catalogue, progress=lambda *_: self.arm.attend())
         self.diagnosis = diagnosis
         length = self.arm.robot.length
@@ -291,23 +287,22 @@ class Investigation:
             sentence += f'; {len(record.skipped)} could not be measured'
         self.report('end', sentence, record.outcome)
 
-    def verified(self, outcome: InvestigationEnd) -> Findings:
+    def verify(self) -> None:
         """Fit the named effects, and compute their error on fresh postures."""
-        diagnosis, dataset = self.diagnosis, self.record.dataset
-        confirmed = outcome is InvestigationEnd.NAMED or self.goal.add
-        if diagnosis is None or not (confirmed and diagnosis.effects and diagnosis.adds):
-            return Findings(outcome, diagnosis, dataset, self.record)
-        check = self.measure_fresh() if self.goal.checks else None
-        names = [effect.name for effect in diagnosis.effects]
-        addition = add_effects(dataset, names, None, self.catalogue, check, diagnosis.effects)
-        before, after = addition.check.before, addition.check.after
+        found, confirmed = self.diagnosis, self.outcome is InvestigationEnd.NAMED or self.goal.add
+        if found is None or not (confirmed and found.effects and found.adds):
+            return
+        check = self.check = self.measure_fresh() if self.goal.checks else None
+        names = [effect.name for effect in found.effects]
+        added = add_effects(self.dataset, names, None, self.catalogue, check, found.effects)
+        before, after = added.check.before, added.check.after
         self.report(
             'added',
             f'{listed(names)}: error on {"fresh" if check else "left-out"} postures '
             f'{1e3 * before:.2f} -> {1e3 * after:.2f} mm',
             {'before': before, 'after': after, 'names': names},
         )
-        return Findings(outcome, diagnosis, dataset, self.record, addition, check)
+        self.addition = added
 
     def measure_fresh(self) -> DataSet | None:
         """Measure random postures that no choice has selected."""
@@ -323,44 +318,35 @@ class Investigation:
                 self.report('check', f'  fresh posture {len(check.postures)} measured', {})
         return check if len(check.postures) else None
 
+    def write_results(self) -> list[str]:
+        """
+        Write everything beside the data; return the lines to print.
 
-def write_results(findings: Findings, folder: Path, catalogue: Catalogue, add: bool) -> list[str]:
-    """
-    Write everything beside the data; return the lines to print.
-
-    Recording and report need their extras (rosbags, plotly) and are left out without.
-
-    Parameters
-    ----------
-    findings : Findings
-    folder : Path
-    catalogue : Catalogue
-    add : bool
-        Write the description even where the verdict is a class, or the intervals are wide.
-
-    """
-    diagnosis, added = findings.diagnosis, findings.addition
-    (folder / measuring.BETTER).unlink(missing_ok=True)  # of an earlier run that was resumed
-    written = [measuring.DATA] if len(findings.dataset.postures) else []
-    if findings.check is not None:
-        save_dataset(findings.check, folder / measuring.CHECK, True)
-        written.append(measuring.CHECK)
-    if written and importlib.util.find_spec('rosbags') is not None:
-        (folder / RECORDING).unlink(missing_ok=True)
-        export_bag(findings.dataset, folder / RECORDING)
-        written.append(RECORDING)
-    text = [] if diagnosis is None else ['', diagnosis.text()]
-    if diagnosis is not None:
-        diagnosis.save(folder / RESULT)
-        written.append(RESULT)
-        if importlib.util.find_spec('plotly') is not None:
-            pictures = pictures_of(diagnosis, findings.dataset, catalogue, added)
-            diagnosis_page(diagnosis, pictures, added).write(folder / REPORT)
-            written.append(REPORT)
-    if added is not None:
-        text += [never_used(added), *addition_warnings(added)]
-        if added.helps and (add or findings.outcome is InvestigationEnd.NAMED):
-            write_text(folder / measuring.BETTER, dump_robot(added.robot))
-            written.append(measuring.BETTER)
-            text.append(f'controller parameter model := {folder / measuring.BETTER}')
-    return [*text, f'written: {folder}: {", ".join(written)}']
+        Recording and report need their extras (rosbags, plotly) and are left out without.
+        """
+        folder, diagnosis, added = self.record.folder, self.diagnosis, self.addition
+        assert folder is not None
+        text, written = list[str](), [measuring.DATA] if len(self.dataset.postures) else []
+        (folder / measuring.BETTER).unlink(missing_ok=True)  # of an earlier run that was resumed
+        if self.check is not None:
+            save_dataset(self.check, folder / measuring.CHECK, True)
+            written.append(measuring.CHECK)
+        if written and importlib.util.find_spec('rosbags') is not None:
+            (folder / RECORDING).unlink(missing_ok=True)
+            export_bag(self.dataset, folder / RECORDING)
+            written.append(RECORDING)
+        if diagnosis is not None:
+            text += ['', diagnosis.text()]
+            diagnosis.save(folder / RESULT)
+            written.append(RESULT)
+            if importlib.util.find_spec('plotly') is not None:
+                pictures = pictures_of(diagnosis, self.dataset, self.catalogue, added)
+                diagnosis_page(diagnosis, pictures, added).write(folder / REPORT)
+                written.append(REPORT)
+        if added is not None:
+            text += [never_used(added), *addition_warnings(added)]
+            if added.helps:
+                write_text(folder / measuring.BETTER, dump_robot(added.robot))
+                written.append(measuring.BETTER)
+                text.append(f'controller parameter model := {folder / measuring.BETTER}')
+        return [*text, f'written: {folder}: {", ".join(written)}']

@@ -31,7 +31,7 @@ from ..data import Marker, default_markers
 from ..data.dataset import INPUTS, LOADINGS
 from ..effects import load_catalogue
 from ..investigation.goal import Goal, add_goal, goal_of
-from ..investigation.loop import Investigation, write_results
+from ..investigation.loop import Investigation
 from ..investigation.measuring import BrokenMeasurementError, PostureMeasured
 from ..report.diagnosis_text import TRIALS_ADVISED
 from ..robot import Robot, load_robot
@@ -74,10 +74,8 @@ def run(args: argparse.Namespace) -> int:
     narrate(args, f'hidden:  {", ".join(args.hidden) or "nothing"}')
     investigation = Investigation(
         arm, goal, folder, regions, lambda kind, text, content: narrate(args, text), args.resume
-    )
-    findings = investigation.run()
-    lines = write_results(findings, folder, investigation.catalogue, goal.add)
-    emit(args, findings.to_json(), '\n'.join(lines))
+    ).run()
+    emit(args, investigation.to_json(), '\n'.join(investigation.write_results()))
     return 0
 
 

@@ -38,7 +38,7 @@ from ...data.dataset import LOADINGS
 from ...data.folder import read_markers
 from ...drivers.safety import CYCLE_MAX_S
 from ...investigation.goal import add_goal, goal_of
-from ...investigation.loop import Findings, Investigation, write_results
+from ...investigation.loop import Investigation
 from ...investigation.measuring import BETTER, BrokenMeasurementError, PostureMeasured
 from ...model.model import Model
 from ...monitoring import History, MonitorSettings, StillMeasurement
@@ -377,7 +377,7 @@ class Investigator:
                 self.arm.stop_requested = False
                 self.publish_news('failed', ' '.join(str(error).split()), {})
 
-    def once(self, folder: Path, resume: bool) -> Findings:
+    def once(self, folder: Path, resume: bool) -> Investigation:
         """Investigate, write the results, and send the controller the better description."""
         args = self.args
         self._busy = True
@@ -389,15 +389,14 @@ class Investigator:
                 self.arm, goal, folder, self.regions, self.publish_news, resume, change
             )
             with self.arm.ending.interrupting():  # a diagnosis may take a minute
-                findings = investigation.run()
-            lines = write_results(findings, folder, investigation.catalogue, args.add)
-            emit(args, findings.to_json(), '\n'.join(lines))
+                investigation.run()
+            emit(args, investigation.to_json(), '\n'.join(investigation.write_results()))
             if (folder / BETTER).exists() and not args.keep:
                 better = str((folder / BETTER).resolve())
                 accepted, reason = self.arm.put('model', better, 2.0 * REACTION_TIMEOUT_S)
                 answer = 'uses it' if accepted else f'refuses it: {reason}'
                 self.publish_news('sent', f'the controller {answer}', {'taken': accepted})
-            return findings
+            return investigation
         finally:
             self._busy = False
             self._tour.publish(Bool(data=True))

@@ -286,8 +286,8 @@ def investigate(director: Director, story: Story, folder: Path) -> None:
     investigation.add_arguments(parser)
     args = parser.parse_args([*INVESTIGATION, str(folder / 'found')])
     with investigation.RunningArm(args, director.ending, director.get_namespace()) as arm:
-        findings = investigation.Investigator(arm, args, KeepOut()).once(Path(args.output), False)
-    story.verdict = {} if findings.diagnosis is None else findings.diagnosis.to_json()
-    if findings.addition is not None and findings.diagnosis is not None:
-        story.added = director.takes([effect.name for effect in findings.diagnosis.effects])
-        story.before, story.after = findings.addition.check.before, findings.addition.check.after
+        found = investigation.Investigator(arm, args, KeepOut()).once(Path(args.output), False)
+    story.verdict = {} if found.diagnosis is None else found.diagnosis.to_json()
+    if found.addition is not None and found.diagnosis is not None:
+        story.added = director.takes([effect.name for effect in found.diagnosis.effects])
+        story.before, story.after = found.addition.check.before, found.addition.check.after
