@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from ..common.errors import InputError, MissingExtraError, choice, short
 from ..common.files import new_file, write_text
 from ..common.words import STANDARD_GRAVITY
-from ..common.yaml_reading import read_yaml
+from ..common.yaml_reading import dump_yaml, read_yaml
 from ..drivers.dynamixel.config import smallest_spool
 from ..drivers.dynamixel.control_table import BAUD_RATES, MODELS
 from ..emulator.board import BoardRig, EmulatedBoard
@@ -278,8 +277,7 @@ def open_motor(args: argparse.Namespace) -> tuple[Bus, Motor, Any]:
 def _write(path: Path, tendon: str, lines: dict[str, Any], units: str) -> None:
     """Put the lines of a tendon into the file, keep those of the others."""
     content = {**(_content(str(path)) if path.exists() else {}), tendon: lines}
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
-    write_text(path, f'# {units}; written by calibrate\n{text}')
+    write_text(path, f'# {units}; written by calibrate\n{dump_yaml(content)}')
 
 
 def draw(fitted: Calibration, points: list[CurrentPoint], tendon: str, path: Path) -> None:
@@ -385,8 +383,7 @@ class Emulate:
         try:
             with plug as line:
                 if args.output:
-                    text = yaml.safe_dump(config, sort_keys=False, default_flow_style=None)
-                    write_text(args.output, f'# emulated: {words}\n{text}')
+                    write_text(args.output, f'# emulated: {words}\n{dump_yaml(config)}')
                 more = (line.obey, ending, args.ends_with_input)
                 threading.Thread(target=listen, args=more, daemon=True).start()
                 print(line.port, flush=True)  # who reads it gives all threads their priority

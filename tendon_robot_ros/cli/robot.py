@@ -19,6 +19,7 @@ import yaml
 from ..common.errors import InputError
 from ..common.files import new_file, write_text
 from ..common.words import COMPILING, PROGRAM, STANDARD_GRAVITY, columns, counted, mm
+from ..report.comparison import kind
 from ..report.in_words import route, rows
 from ..robot import Robot, dump_robot, load_robot, parse_robot
 from ..robot.estimates import (
@@ -282,20 +283,6 @@ def tendons_of(
     return tendons
 
 
-def bounded[T: (int, float)](
-    kind: type[T], low: float, high: float, above: bool = False
-) -> Callable[[str], T]:
-    """Return a reader of numbers from `low` (or above it) to `high`; ValueError elsewhere."""
-
-    def read(answer: str) -> T:
-        value = kind(answer)
-        if not low <= value <= high or (above and value == low):
-            raise ValueError
-        return value
-
-    return read
-
-
 class WentBack(Exception):
     """The user wants to answer the previous question again."""
 
@@ -345,8 +332,7 @@ class Questions:
 
     def whole(self, question: str, default: int, low: int, high: int) -> int:
         """Ask for a whole number within bounds."""
-        expected = f'a whole number from {low} to {high}'
-        return self.ask(question, str(default), expected, bounded(int, low, high))
+        return int(self.number(question, default, low, high, kind=int))
 
     def show(self, text: str) -> None:
         """Print a text before a question, unless the question is answered already."""
@@ -362,14 +348,18 @@ class Questions:
         words: Mapping[str, float] = MappingProxyType({}),
         above: bool = False,
         why: str = '',
+        kind: type[float] = float,
     ) -> float:
         """Ask for a number within bounds (or above `low`), or for a word that stands for one."""
-        within = bounded(float, low, high, above)
 
         def read(answer: str) -> float:
-            return words[answer] if answer in words else within(answer)
+            value = words[answer] if answer in words else kind(answer)
+            if not low <= value <= high or (above and value == low):
+                raise ValueError
+            return value
 
-        bounds = f'a number {"above" if above else "from"} {low:g} to {high:g}'
+        number = 'a whole number' if kind is int else 'a number'
+        bounds = f'{number} {"above" if above else "from"} {low:g} to {high:g}'
         expected = ' or '.join([f'{bounds} ({why})' if why else bounds, *words])
         return self.ask(question, f'{default:g}', expected, read)
 
@@ -475,14 +465,12 @@ def description(robot: Robot) -> str:
 
 def model_name(robot: Robot) -> str:
     """Name the model after the effects that it lists."""
-    names = list(robot.effects)
-    if not names:
+    if not robot.effects:
         return 'PCCA (no effects)'
-    if names == ['tendon_friction']:
+    if list(robot.effects) == ['tendon_friction']:
         friction = robot.effects['tendon_friction'].get('friction_coefficient')
         return f'FKM (tendon_friction, friction coefficient {friction})'
-    base = 'FKM' if 'tendon_friction' in names else 'PCCA'
-    return f'{base} + {", ".join(name for name in names if name != "tendon_friction")}'
+    return kind(tuple(robot.effects), len(robot.effects))
 
 
 def section_table(robot: Robot) -> str:

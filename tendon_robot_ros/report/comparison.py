@@ -83,15 +83,12 @@ def label(model: ModelErrors) -> str:
     return what if model.name == what else f'{model.name} ({what})'
 
 
-def kind(effects: tuple[str, ...]) -> str:
-    """Say which model a list of effects makes, in the words of the paper."""
-    if not effects:
-        return 'PCCA'
+def kind(effects: tuple[str, ...], most: int = 1) -> str:
+    """Say which model a list of effects makes, in the words of the paper; `most` are named."""
     more = [name for name in effects if name != 'tendon_friction']
     base = 'PCCA' if len(more) == len(effects) else 'FKM'
-    if not more:
-        return base
-    return f'{base} + {more[0] if len(more) == 1 else f"{len(more)} effects"}'
+    what = ', '.join(more) if len(more) <= most else f'{len(more)} effects'
+    return f'{base} + {what}' if more else base
 
 
 def interval(value: float, half: float) -> str:
