@@ -66,14 +66,6 @@ class CaseRow(Row):
     truth: tuple[float, ...] = ()
 
     @property
-    def scatter_held(self) -> list[bool]:
-        """Whether the size of each kind of imperfections that was printed is in its interval."""
-        if self.scatter_inside is None:
-            return []
-        held = round(self.scatter_inside * self.scatter_told)
-        return [True] * held + [False] * (self.scatter_told - held)
-
-    @property
     def held(self) -> list[bool]:
         """Whether each true value lies in its 95 % interval; none where none was fitted."""
         each = zip(self.low, self.truth, self.high, strict=True)
@@ -382,8 +374,9 @@ def rates(rows: Sequence[CaseRow]) -> dict[str, Rate]:
         'named effects that take 90 % of the error off other postures': Rate.of(
             row.gone >= REMOVED_FRACTION for row in named if row.gone is not None
         ),
-        'scatter inside its interval, where it is told': Rate.of(
-            held for row in rows for held in row.scatter_held
+        'scatter inside its interval, where it is told': Rate(
+            sum(round((row.scatter_inside or 0.0) * row.scatter_told) for row in rows),
+            sum(row.scatter_told for row in rows),
         ),
         'causes called outside, of those that raise an alarm': Rate.of(
             row.right for row in causes if row.verdict != Verdict.ADEQUATE
