@@ -14,7 +14,7 @@ from tendon_robot_ros.common.words import mm
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.comparison.result import from_json, load_comparison, to_json
 from tendon_robot_ros.data import load_dataset, save_dataset
-from tendon_robot_ros.report.comparison import kind, sentences, verdict
+from tendon_robot_ros.report.comparison import kind, verdict
 
 
 @pytest.fixture(scope='module')
@@ -107,7 +107,7 @@ def test_readings_that_other_trials_contradict_are_named_and_left_out(name, tmp_
     direct = compare(folder)
     assert direct.measured.left_out and 'left out, because other trials contradict' in repr(direct)
     again = from_json(json.loads(json.dumps(to_json(direct))))
-    assert sentences(again) == sentences(direct)
+    assert again.text() == direct.text()
     start = next(i for i, line in enumerate(lines) if line.startswith('noise floor'))
     assert lines[start].split()[-2:] == mm(direct.noise_floor).split()
     assert mm(direct.best.rms) in lines[start - 1]
@@ -125,7 +125,7 @@ def test_readings_that_other_trials_contradict_are_named_and_left_out(name, tmp_
 def test_a_floor_that_is_a_large_share_of_the_motion_judges_nothing(noise, said, hinges):
     exact = compare(hinges).models[0].markers[:, None]
     places = exact + np.random.default_rng(1).normal(0.0, noise, hinges.positions.shape)
-    last = sentences(compare(replace(hinges, positions=places)))[-1]
+    last = compare(replace(hinges, positions=places)).text().splitlines()[-1]
     assert last.startswith(said)
     assert 'diagnose' not in last
 

@@ -298,7 +298,5 @@ class LinearDesign:
 
 def information(precision: Floats, rows: Floats) -> float:
     """Return the increase of the log determinant of a precision by additional rows."""
-    if not precision.size:
-        return 0.0
     middle = rows @ np.linalg.solve(precision, rows.T)
     return float(np.linalg.slogdet(np.eye(len(rows)) + middle)[1])

@@ -40,11 +40,6 @@ ARROW_FRACTION = 0.3
 FLOOR_FRACTION_MAX = 0.1
 
 
-def table(comparison: Comparison) -> str:
-    """Return the table of all models."""
-    return columns(model_rows(comparison, size(comparison)))
-
-
 def model_rows(comparison: Comparison, first: str) -> list[list[str]]:
     """Return the errors of all models and the noise floor, a row each; the head has `first`."""
     head = [first, 'rms', 'worst', f'tip error (mean ± {interval_name(comparison)})']
@@ -58,12 +53,13 @@ def model_rows(comparison: Comparison, first: str) -> list[list[str]]:
     return [head, *rows]
 
 
-def sentences(comparison: Comparison) -> list[str]:
-    """Return the conclusions: the largest errors, the better model, and the next step."""
-    lines = [*excluded_lines({'outliers': comparison.measured.left_out}), where_worst(comparison)]
-    lines += [paired(test) for test in comparison.paired_t if test.posture is None]
+def lines(comparison: Comparison) -> list[str]:
+    """Return the table of all models, the largest errors, the better model, and the next step."""
+    text = [columns(model_rows(comparison, size(comparison)))]
+    text += [*excluded_lines({'outliers': comparison.measured.left_out}), where_worst(comparison)]
+    text += [paired(test) for test in comparison.paired_t if test.posture is None]
     last = f'{verdict(comparison)} {next_step(comparison)}'
-    return [*lines, last.strip().replace('`', '')]
+    return [*text, last.strip().replace('`', '')]
 
 
 def size(comparison: Comparison) -> str:

@@ -44,17 +44,16 @@ NOT_WRITTEN = 'Nothing was written: the error on postures that were not used wou
 
 def lines(diagnosis: Diagnosis) -> list[str]:
     """Return all lines: verdict, remaining error, alternatives, what to do, what it rests on."""
-    text = verdict(diagnosis).split('\n')
+    text, trust = verdict(diagnosis).split('\n'), trust_lines(diagnosis)
     if not diagnosis.verdict.judged:
-        return [*text, *excluded_lines(diagnosis.details)]
+        return [*text, *excluded_lines(diagnosis.details), *trust]
     text += [*errors(diagnosis), diagnosis.remainder]
     text += [f'mind: {caveat}' for caveat in diagnosis.details.get('caveats', ())]
     text += where_wrong(diagnosis.details.get('local_faults', ()))
     text += filter(None, [alike(diagnosis), next_measurement(diagnosis)])
     text += ['', size(diagnosis), *declared(diagnosis), *excluded_lines(diagnosis.details)]
     text += as_built(diagnosis.details.get('as_built'))
-    text += filter(None, [untested(diagnosis), detectable(diagnosis)])
-    return text
+    return [*text, *filter(None, [untested(diagnosis), detectable(diagnosis)]), *trust]
 
 
 def size(diagnosis: Diagnosis) -> str:

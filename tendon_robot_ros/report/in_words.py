@@ -18,7 +18,6 @@ from ..robot import Robot
 from ..robot.description import XY
 from . import comparison, diagnosis_text
 from .diagnosis_page import CANDIDATE_HEAD, candidate_row
-from .diagnosis_text import trust_lines
 from .improvement_page import improvement_lines
 from .page import Shown
 
@@ -60,8 +59,8 @@ def _row(tag: str, cells: list[str]) -> str:
     return f'<tr>{"".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells)}</tr>'
 
 
-lines.register(Comparison, lambda one: [comparison.table(one), *comparison.sentences(one)])
-lines.register(Diagnosis, lambda one: [*diagnosis_text.lines(one), *trust_lines(one)])
+lines.register(Comparison, comparison.lines)
+lines.register(Diagnosis, diagnosis_text.lines)
 lines.register(Addition, diagnosis_text.addition_lines)
 lines.register(Improvement, improvement_lines)
 
