@@ -68,8 +68,7 @@ class Recording:
 
     def states_of(self, names: tuple[str, ...], kind: str) -> Floats:
         """Return the named tensions or pulls, (T, m) [N] or [m], NaN where not given."""
-        column = 0 if kind == 'displacement' else 1
-        return _sane(np.array([joints_of(state, names)[column] for state in self.states]))
+        return _sane(np.array([joints_of(state, names, kind) for state in self.states]))
 
 
 def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
@@ -282,17 +281,14 @@ def parse_pose_array(data: bytes) -> tuple[str, Floats]:
     return frame, values.reshape(number, 7).astype(float)
 
 
-def joints_of(message: Any, names: Sequence[str]) -> tuple[list[float], list[float]]:
-    """Return pulls [m] and tensions [N] of the named tendons of a JointState; NaN = missing."""
+def joints_of(message: Any, names: Sequence[str], kind: str) -> list[float]:
+    """Return tensions [N] or pulls [m] of the named tendons of a JointState; NaN = missing."""
+    field = 'position' if kind == 'displacement' else 'effort'
     # a damaged recording may name the fields otherwise
-    every, pulls, tensions = (getattr(message, one, ()) for one in ('name', 'position', 'effort'))
+    every, values = (getattr(message, one, ()) for one in ('name', field))
     places = {name: place for place, name in enumerate(every)}
-
-    def pick(values: Sequence[float]) -> list[float]:
-        columns = (places.get(name, len(values)) for name in names)
-        return [float(values[i]) if i < len(values) else float('nan') for i in columns]
-
-    return pick(pulls), pick(tensions)
+    columns = (places.get(name, len(values)) for name in names)
+    return [float(values[i]) if i < len(values) else float('nan') for i in columns]
 
 
 BASES = ('', 'base', 'base_link', 'base_frame')  # and what ends with _base

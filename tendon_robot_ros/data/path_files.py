@@ -194,14 +194,12 @@ class PathRun:
         tips, targets = self.tips.positions, self.targets.positions
         if not len(targets):
             return np.full(len(tips), np.nan)
-        if len(targets) == 1:
-            return np.asarray(np.linalg.norm(tips - targets[0], axis=1))
-        start, step = targets[:-1], np.diff(targets, axis=0)
+        step = np.diff(targets, axis=0, append=targets[-1:])  # the last piece is a point
         length = (step**2).sum(axis=1)
         distances = []
         for tip in tips:  # nearest point of every straight piece
-            fraction = ((tip - start) * step).sum(axis=1) / np.where(length > 0.0, length, 1.0)
-            nearest = start + np.clip(fraction, 0.0, 1.0)[:, None] * step
+            fraction = ((tip - targets) * step).sum(axis=1) / np.where(length > 0.0, length, 1.0)
+            nearest = targets + np.clip(fraction, 0.0, 1.0)[:, None] * step
             distances.append(np.nanmin(np.linalg.norm(nearest - tip, axis=1)))
         return np.array(distances)
 
@@ -250,7 +248,8 @@ def read_moves(path: str | Path) -> tuple[PathRun, Places]:
     sent = received.get(COMMAND, [])
     names = tuple(sent[0][1].name) if sent else ()
     pull = bool(sent) and len(sent[0][1].effort) == 0
-    values = np.array([joints_of(message, names)[0 if pull else 1] for _, message in sent])
+    kind = 'displacement' if pull else 'tension'
+    values = np.array([joints_of(message, names, kind) for _, message in sent])
     values = values.reshape(len(sent), len(names))
     good = np.isfinite(values).all(axis=1)
     run = PathRun(
