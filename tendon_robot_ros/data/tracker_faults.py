@@ -29,12 +29,10 @@ SHARED_FRAMES_MAX = 0.01
 # by less than the distance of two markers from frame to frame
 CROSSED_FRACTION_MAX = 0.3
 
-ZERO, SENTINEL, HELD = 'zero', 'sentinel', 'held'
-WHY = {
-    ZERO: 'exactly 0, 0, 0',
-    SENTINEL: 'a number that stands for "not seen"',
-    HELD: 'the last place, repeated exactly while other markers change',
-}
+# why a reading is none
+ZERO = 'exactly 0, 0, 0'
+SENTINEL = 'a number that stands for "not seen"'
+HELD = 'the last place, repeated exactly while other markers change'
 
 
 def is_missing(places: Floats) -> Bools:
@@ -63,7 +61,7 @@ def without_unseen(
     -------
     positions : (T, J, 3)
     counts : dict of (J,)
-        By the keys of `WHY`, of each marker; what was no number to begin with is not counted.
+        By why, of each marker; what was no number to begin with is not counted.
 
     """
     numbers = np.isfinite(positions).all(axis=2)
@@ -85,7 +83,7 @@ def unseen_lines(counts: dict[str, Ints], labels: Sequence[str]) -> list[str]:
         of = np.flatnonzero(count)
         names = listed(labels[j] for j in of.tolist())
         whose = '' if len(of) == len(labels) > 1 else f' of {names}'
-        lines.append(f'{int(count.sum()):,} marker readings{whose} are none: {WHY.get(why, why)}')
+        lines.append(f'{int(count.sum()):,} marker readings{whose} are none: {why}')
     return lines
 
 
