@@ -101,6 +101,14 @@ def test_a_plan_keeps_every_limit_and_the_given_times_where_it_can():
     assert direction is None
 
 
+def test_a_row_is_reached_with_its_direction_where_its_neighbour_has_none():
+    views = np.array([[0.0, 0.0, 1.0], [np.nan] * 3])
+    path = tip_path(np.array([0.0, 1.0]), PLACES[:2], views)
+    planned = Plan(model(), path, WIDE, model().shape(np.full(4, 0.1)))
+    assert planned.at(0.0)[1] == pytest.approx(views[0])
+    assert planned.at(0.01)[1] is None
+
+
 @pytest.mark.long
 def test_what_is_out_of_reach_is_named_by_row():
     far = np.vstack([PLACES, [0.0, 0.0, 0.4]])

@@ -262,13 +262,9 @@ class Plan:
 
     def at(self, time: float) -> tuple[Floats, Floats | None]:
         """Return target position and direction (None: none requested) at a time [s]."""
-        times, path = self.path.times, self.path
-        place = int(np.clip(np.searchsorted(times, time, side='right') - 1, 0, len(times) - 1))
-        after = min(place + 1, len(times) - 1)
-        gap = times[after] - times[place]
-        fraction = float(np.clip((time - times[place]) / gap, 0.0, 1.0)) if gap > 0.0 else 0.0
-        position = path.positions[place] * (1.0 - fraction) + path.positions[after] * fraction
-        direction = path.directions[place] * (1.0 - fraction) + path.directions[after] * fraction
+        path = self.path
+        position = interpolated(time, path.times, path.positions)
+        direction = interpolated(time, path.times, path.directions)
         if np.isnan(direction).any():
             return position, None
         return position, direction / np.linalg.norm(direction)
