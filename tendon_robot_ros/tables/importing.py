@@ -212,7 +212,9 @@ def _columns_dropped(chosen: Selection, tables: Sequence[RawTable]) -> list[str]
     markers = [point for marker in chosen.recipe.markers or () for point in marker.parts[0]]
     flags = {name.column for t in tables for name, _, _ in flag_columns(t, markers)}
     names = [column for column in chosen.unused if column not in flags]
-    lines = [f'no markers: {line}' for line in chosen.unused_points]
+    lines = [f'no markers: {points}' for points in chosen.aside]
+    if count := len(chosen.nameless):
+        lines.append(f'no markers: {count} points without a name (unlabeled)')
     return [*lines, f'{len(names)} columns: {listing(names)}'] if names else lines
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_origin, get_type_hints
 
@@ -37,14 +37,6 @@ OPTIONS = 'options'  # source of a recipe that options make
 OPTION_OF = {'places': 'markers', 'radius': 'spool'}  # key -> option, where another word
 Part = TypeVar('Part')
 Read = Callable[['RecipeFields', str], Any]
-
-
-@dataclass(frozen=True)
-class ColumnUse:
-    """A selected column and its unit; '' if the unit is unknown."""
-
-    column: str
-    unit: str
 
 
 class RecipeFields(DatasetFields):
@@ -118,13 +110,8 @@ class RecipeFields(DatasetFields):
 
     def uses(self, name: str) -> dict[str, ColumnUse]:
         """Return the column of each input."""
-        uses = {}
-        for wire in map(str, self.child(name).content):
-            one = self.child(name).child(wire)
-            one.only('column', 'unit')
-            unit = one.unit('unit', *INPUT_KINDS) if one.has('unit') else ''
-            uses[wire] = ColumnUse(one.text('column') if one.has('column') else '', unit)
-        return uses
+        wires = self.child(name)
+        return {wire: wires.child(wire).read(ColumnUse) for wire in map(str, wires.content)}
 
     def trials(self, name: str) -> tuple[tuple[str, str], ...]:
         """Return postures and trials."""
@@ -161,6 +148,15 @@ def part(kind: type) -> Read:
 Text = Annotated[str | None, RecipeFields.text]
 Numbers = Annotated[tuple[float, ...] | None, RecipeFields.list_of_numbers]
 Xyz = Annotated[Vector | None, lambda one, name: one.vector(name, 3)]
+InputUnit = Annotated[str, lambda one, name: one.unit(name, *INPUT_KINDS)]
+
+
+@dataclass(frozen=True)
+class ColumnUse:
+    """A selected column and its unit; '' if the unit is unknown."""
+
+    column: Annotated[str, RecipeFields.text] = ''
+    unit: InputUnit = ''
 
 
 @dataclass(frozen=True)
@@ -316,20 +312,15 @@ def dump_recipe(recipe: Recipe, folder: Path) -> str:
     base = os.path.abspath(folder)
     sources = tuple(os.path.relpath(os.path.abspath(s), base) for s in recipe.sources)
     written = replace(recipe, sources=sources, robot='robot.yaml', zero=recipe.zero or None)
-    keys = plain(replace(written, input_unit=None, time_unit=None))
-    keys['leave_out'] = plain(recipe.leave_out or ())  # none is a choice, too
+    keys = asdict(replace(written, input_unit=None, time_unit=None), dict_factory=_said)
+    keys.setdefault('leave_out', ())  # none is a choice, too
     keys |= {'time': {}} if recipe.time == {} else {}
     return HEAD + dump_yaml(keys)
 
 
-def plain(value: Any) -> Any:
-    """Return the keys and lists of a file; a dataclass gives those of its fields that hold."""
-    if is_dataclass(value):
-        pairs = {one.name: plain(getattr(value, one.name)) for one in fields(value)}
-        return {name: own for name, own in pairs.items() if own not in (None, {})}
-    if isinstance(value, Mapping):
-        return {name: plain(own) for name, own in value.items()}
-    return [plain(own) for own in value] if isinstance(value, tuple) else value
+def _said(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the fields of a dataclass that hold something."""
+    return {name: value for name, value in pairs if value not in (None, {})}
 
 
 # [s] a median step above is in another unit, because nobody records an arm so slowly
@@ -394,12 +385,6 @@ class Selection:
         taken = set(self.reasons)
         taken |= {c for t in tables for triple in triples_of(t) for c in triple.columns}
         self.unused = [*dict.fromkeys(c for t in tables for c in t.columns if c not in taken)]
-
-    @property
-    def unused_points(self) -> tuple[str, ...]:
-        """The excluded points by quantity, and the number of points without a name."""
-        count = len(self.nameless)
-        return self.aside + ((f'{count} points without a name (unlabeled)',) if count else ())
 
     @property
     def written_units(self) -> dict[str, Unit]:
