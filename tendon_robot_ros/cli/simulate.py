@@ -160,7 +160,7 @@ def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
         commands = Commands(
             Path(args.postures), robot, args.input, remedy='name a CSV file like inputs.csv'
         )
-        inputs, names = commands.by_posture(), commands.postures
+        (inputs, _), names = commands.by_posture(commands.trials or ()), commands.postures
     else:
         inputs = _default_postures(args, robot, which)
     with progress() as show:

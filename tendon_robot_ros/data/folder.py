@@ -234,12 +234,13 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
     if described['markers'] and not visible.all():
         problem = f'{names[int(visible.argmin())]!r} was never seen in shapes.csv'
         raise DataSetError(f'{path}: markers', problem, 'correct the name or remove the marker')
+    inputs, trial_inputs = commands.by_posture(shapes['trial_names'])
     dataset = DataSet(
         name=str(folder),
         robot=robot,
         postures=commands.postures,
-        inputs=commands.by_posture(),
-        trial_inputs=commands.by_trial(shapes['trial_names']),
+        inputs=inputs,
+        trial_inputs=trial_inputs,
         **shapes,
         **described | {'markers': markers} | ({'path': 'sequence'} if visits else {}),
     ).without_unseen_markers()

@@ -62,9 +62,9 @@ class Commands(CsvFile):
         # None where the values hold for all trials of a posture
         self.trials = self.labels.get('trial')
 
-    def by_posture(self) -> Floats:
+    def by_posture(self, trials: tuple[str, ...]) -> tuple[Floats, Floats | None]:
         """
-        Return the values of every posture, the mean over its trials, (P, m) [N] or [m].
+        Return the values of postures, (P, m), and of their trials where these differ, (P, Q, m).
 
         Raises
         ------
@@ -73,27 +73,10 @@ class Commands(CsvFile):
 
         """
         if self.trials is None:
-            return self.values
-        each = np.full((len(self.postures), len(self.trials), self.values.shape[1]), np.inf)
-        each[self.codes['posture'], self.codes['trial']] = self.values
-        return mean_inputs(each, ~np.isinf(each[..., 0]), self.postures, str(self.path))[0]
-
-    def by_trial(self, trials: tuple[str, ...]) -> Floats | None:
-        """
-        Return the values of every trial, (P, Q, m), None where the file has none.
-
-        Visits need a row per trial; equal rows of a posture are commands and no measurements.
-        """
-        if self.trials is None:
-            return None
-        posture = self.codes['posture']
-        if self.visit is not None or self.origin is not None:
-            first = self.values[np.unique(posture, return_index=True)[1]]
-            if np.array_equal(first[posture], self.values, equal_nan=True):
-                return None
-        values = np.full((len(self.postures), len(trials), self.values.shape[1]), np.nan)
-        values[posture, self.translate('trial', trials)] = self.values
-        return values
+            return self.values, None
+        each = np.full((len(self.postures), len(trials), self.values.shape[1]), np.inf)
+        each[self.codes['posture'], self.translate('trial', trials)] = self.values
+        return mean_inputs(each, ~np.isinf(each[..., 0]), self.postures, str(self.path))
 
     def by_history(self, trials: tuple[str, ...], seen: Bools) -> tuple[Split, Ints | None]:
         """
