@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
@@ -396,9 +396,8 @@ def from_json(content: dict[str, Any]) -> Comparison:
     for model in content['models']:
         each = model['per_posture']
         held = _columns(each, 'shape', 'angles', 'error', 'tip_errors', 'centreline')
-        errors = ModelErrors(model['name'], tuple(model['effects']), *held.values())
-        known = model.get('model_error', 0.0)  # files of older versions have none
-        models.append(replace(errors, model_error=known))
+        values = (*held.values(), model.get('model_error', 0.0))  # older files lack the last one
+        models.append(ModelErrors(model['name'], tuple(model['effects']), *values))
     return Comparison(measured, tuple(models), content['error'])
 
 
