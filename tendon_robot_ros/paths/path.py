@@ -170,11 +170,10 @@ def interpolated_directions(directions: Floats, piece: Ints, fraction: Floats) -
         raise InputError(
             f'rows {row + 1} and {row + 2} look in opposite directions; put a row between them'
         )
-    sine = np.sin(angle)
-    straight = ~(sine > 1e-9)
-    safe = np.where(straight, 1.0, sine)
-    first = np.where(straight, 1.0 - fraction, np.sin((1.0 - fraction) * angle) / safe)
-    second = np.where(straight, fraction, np.sin(fraction * angle) / safe)
+    first, second = (
+        share * np.sinc(share * angle / np.pi) / np.sinc(angle / np.pi)
+        for share in (1.0 - fraction, fraction)
+    )
     turned = first[:, None] * before + second[:, None] * after
     # a row without a direction: none up to it, and none after it
     turned = np.where(fraction[:, None] == 0.0, before, turned)
