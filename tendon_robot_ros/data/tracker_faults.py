@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -213,13 +212,10 @@ def put_back(places: Floats) -> tuple[Floats, list[tuple[int, int, int]]]:
     exchanges = list[tuple[int, int, int]]()
     for i, j in combinations(range(visible.shape[1]), 2):
         both = np.flatnonzero(visible[:, i] & visible[:, j])
-        before, after = places[both[:-1], :, :3], places[both[1:], :, :3]
-
-        def steps(a: int, b: int, before: Floats = before, after: Floats = after) -> Any:
-            return np.linalg.norm(after[:, a] - before[:, b], axis=1)
-
-        crossed = steps(i, j) + steps(j, i) < CROSSED_FRACTION_MAX * (steps(i, i) + steps(j, j))
-        for k in np.flatnonzero(crossed).tolist():
+        pair = places[both[:, None], [i, j], :3]
+        steps = np.linalg.norm(pair[1:, :, None] - pair[:-1, None], axis=3)  # (K, to 2, from 2)
+        own, other = steps[:, 0, 0] + steps[:, 1, 1], steps[:, 0, 1] + steps[:, 1, 0]
+        for k in np.flatnonzero(other < CROSSED_FRACTION_MAX * own).tolist():
             # what is seen of one alone may be of either
             cleaned[both[k] + 1 : both[k + 1], [i, j]] = np.nan
             exchanges.append((int(both[k + 1]), i, j))
