@@ -449,9 +449,9 @@ def join(datasets: Sequence[DataSetLike]) -> DataSet:
         name=' '.join(dataset.name for dataset in sets),
         postures=tuple(f'{name}/{posture}' for name, d in pairs for posture in d.postures),
         inputs=np.concatenate([d.inputs for d in sets]),
-        positions=_stacked([d.positions for d in sets], len(trials)),
-        orientations=_stacked(turned, len(trials)) if len(turned) == len(sets) else None,
-        trial_inputs=_stacked(inputs_by_trial, len(trials)) if by_trial else None,
+        positions=stacked([d.positions for d in sets], len(trials)),
+        orientations=stacked(turned, len(trials)) if len(turned) == len(sets) else None,
+        trial_inputs=stacked(inputs_by_trial, len(trials)) if by_trial else None,
         trial_names=trials,
         gravity=next((d.gravity for d in sets if d.gravity is not None), None),
         known={},
@@ -480,7 +480,7 @@ def _refuse_unlike(sets: Sequence[DataSet]) -> None:
             raise DataSetError(one.name, problem, 'join before an earlier recording is taken off')
 
 
-def _stacked(arrays: Sequence[Floats], trials: int) -> Floats:
+def stacked(arrays: Sequence[Floats], trials: int) -> Floats:
     """Join arrays (P, Q, ...) of postures, each padded with NaN to the same number of trials."""
     shapes = [(len(array), trials - array.shape[1], *array.shape[2:]) for array in arrays]
     lacking = [np.full(shape, np.nan) for shape in shapes]

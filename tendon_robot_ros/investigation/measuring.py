@@ -20,6 +20,7 @@ from ..common.errors import InputError, TendonRobotError
 from ..common.files import read_text, write_text
 from ..common.words import commands
 from ..data import DataSet, Marker, load_dataset, save_dataset
+from ..data.loading import stacked
 from ..inference.statistics import SIGNIFICANCE, mean_over
 from ..monitoring.change import ChangeFinder, Suspect, described
 from ..robot import Robot, dump_robot
@@ -207,23 +208,16 @@ def with_posture(
     if old.trial_inputs is not None or measured.inputs is not None:
         as_commanded = np.tile(inputs, (len(measured.positions), 1))
         now = as_commanded if measured.inputs is None else measured.inputs
-        trial_inputs = _joined(old.inputs_by_trial, now, trials)
+        trial_inputs = stacked([old.inputs_by_trial, now[None]], trials)
     return replace(
         old,
         postures=(*old.postures, str(len(old.postures) + 1)),
         inputs=np.vstack([old.inputs, inputs]),
-        positions=_joined(old.positions, measured.positions, trials),
+        positions=stacked([old.positions, measured.positions[None]], trials),
         trial_inputs=trial_inputs,
         trial_names=(),
         position_noise=noise,
     )
-
-
-def _joined(old: Floats, new: Floats, trials: int) -> Floats:
-    """Return postures (P, q, ...) and a new one (Q, ...) with so many trials, nan if missing."""
-    joined = np.full((len(old) + 1, trials, *new.shape[1:]), np.nan)
-    joined[:-1, : old.shape[1]], joined[-1, : len(new)] = old, new
-    return joined
 
 
 # called with what has happened ('posture', 'broken', 'skipped', 'change', 'changed', 'diagnosis',
