@@ -167,10 +167,11 @@ class StillMeasurements:
         if not segments:
             times = [one.recording.tracks[0].times for one in traces]
             raise never_still(name, motions, times, rule)
-        self.same = _guess_same(segments) if recipe.same is None else recipe.same
+        compared = segments[: math.isqrt(VALUES_MAX)]  # each with each
+        self.same = _guess_same(compared) if recipe.same is None else recipe.same
         rest = recipe.rest
         if rest is None:
-            rest = _guess_rest(segments, self.same) if recipe.path == FROM_STRAIGHT else 0.0
+            rest = _guess_rest(compared, self.same) if recipe.path == FROM_STRAIGHT else 0.0
             if rest:
                 below = f'{digits(rest, 3)} {unit}'
                 self.assumed.append(f'where all inputs are below {below} the arm rests')
@@ -326,8 +327,7 @@ def _guess_same(segments: Sequence[Segment]) -> float:
     Trials differ by what motors and load cells scatter, postures by what somebody chose: between
     the two there is a gap.
     """
-    compared = segments[: math.isqrt(VALUES_MAX)]  # each with each
-    inputs = np.nan_to_num([one.inputs for one in compared])
+    inputs = np.nan_to_num([one.inputs for one in segments])
     size = float(np.abs(inputs).max()) or 1.0
     usual = float(f'{INPUT_TOLERANCE * size:.3g}')
     if len(segments) < 3:
