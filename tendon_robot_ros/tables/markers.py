@@ -18,6 +18,7 @@ from ..common.errors import DataSetError
 from ..common.rotations import angle_between
 from ..common.words import listed, listing, mm
 from ..data import DataSet, default_markers
+from ..inference.statistics import mean_over
 from ..robot import Robot
 from ..robot.estimates import TRACKER_NOISE_M
 from .columns import (
@@ -432,11 +433,9 @@ def _lengths_to_tip(positions: Floats, apart: Floats, members: Sequence[int]) ->
     bends = np.nan_to_num(bends)
     beside = np.concatenate([bends[:, :1], bends, bends[:, -1:]], axis=1)
     half = 0.25 * (beside[:, 1:] + beside[:, :-1]) if bends.shape[1] else np.zeros(chords.shape)
-    arcs = chords / np.sinc(half / np.pi)
-    known = np.isfinite(arcs)
-    total = np.where(known, arcs, 0.0).sum(axis=0)
+    arcs = mean_over(chords / np.sinc(half / np.pi), 0)
     longest = [apart[a, b] for a, b in pairwise(members)]
-    lengths = np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), longest)
+    lengths = np.where(np.isnan(arcs), longest, arcs)
     return np.append(np.cumsum(lengths[::-1])[::-1], 0.0)
 
 
