@@ -117,7 +117,10 @@ def test_what_cannot_be_read_is_named_in_one_line(reader, kind, folder, capsys):
     assert _there(folder) == before
 
 
-@pytest.mark.parametrize('content', [None, b'', JUNK, b'{}', b'[]', b'{"format": 1', b'null'])
+@pytest.mark.parametrize(
+    'content',
+    [None, b'', JUNK, b'{}', b'[1]', b'{"format": 1', b'{"format": "other"}', b'null', b'no json'],
+)
 def test_a_saved_comparison_that_is_none_is_named(content, tmp_path):
     path = tmp_path / 'saved.json'
     if content is not None:
