@@ -106,7 +106,10 @@ def import_table(
     predictor = Predictor(final, final.robot, catalogue)
     predicted = predictor.markers({})
     assert predicted is not None  # this robot had equilibria in these postures above
-    final, predicted = _without_empty(final, predicted)
+    if final.path == FROM_STRAIGHT and not final.trials.all():
+        # no other posture was reached from one whose trials are all left out
+        kept = np.flatnonzero(final.trials)
+        final, predicted = final.select(final.postures[p] for p in kept), predicted[kept]
     sizes = [f'{t.name} ({len(t):,} rows of {len(t.columns)} columns)' for t in tables]
     return ImportedTable(
         dataset=final,
@@ -132,14 +135,6 @@ def import_table(
             *(() if placed.frame_warnings else _offset_warnings(final, predicted, catalogue)),
         ),
     )
-
-
-def _without_empty(dataset: DataSet, predicted: Floats) -> tuple[DataSet, Floats]:
-    """Drop the postures whose trials are all left out, where no other was reached from them."""
-    if dataset.path != FROM_STRAIGHT or dataset.trials.all():
-        return dataset, predicted
-    kept = np.flatnonzero(dataset.trials)
-    return dataset.select(dataset.postures[p] for p in kept), predicted[kept]
 
 
 def _written_out(
