@@ -157,7 +157,9 @@ def ends_well(made, process):
     _, high = made.robot.tension_limits
     if data.input == 'tension':
         assert np.nanmax(data.inputs) <= high
-    better = load_robot(made.folder / 'found' / 'better.yaml')
+    written = made.folder / 'found' / 'better.yaml'
+    assert f'model := {written}' in (made.folder / 'found' / 'report.html').read_text()
+    better = load_robot(written)
     assert better.effects['tip_load']['force_x'] == pytest.approx(
         FORCES[made.robot.name], rel=0.15
     )

@@ -11,6 +11,7 @@ recording, diagnosis, page, description.
 from __future__ import annotations
 
 import importlib.util
+import shutil
 import time
 from pathlib import Path
 from typing import Any, Self
@@ -328,6 +329,7 @@ class Investigation:
         assert folder is not None
         text, written = list[str](), [measuring.DATA] if len(self.dataset.postures) else []
         (folder / measuring.BETTER).unlink(missing_ok=True)  # of an earlier run that was resumed
+        shutil.rmtree(folder / measuring.CHECK, ignore_errors=True)
         if self.check is not None:
             save_dataset(self.check, folder / measuring.CHECK, True)
             written.append(measuring.CHECK)
@@ -339,14 +341,16 @@ class Investigation:
             text += ['', diagnosis.text()]
             diagnosis.save(folder / RESULT)
             written.append(RESULT)
-            if importlib.util.find_spec('plotly') is not None:
-                pictures = pictures_of(diagnosis, self.dataset, self.catalogue, added)
-                diagnosis_page(diagnosis, pictures, added).write(folder / REPORT)
-                written.append(REPORT)
+        send = ''
         if added is not None:
             text += [never_used(added), *addition_warnings(added)]
             if added.helps:
                 write_text(folder / measuring.BETTER, dump_robot(added.robot))
                 written.append(measuring.BETTER)
-                text.append(f'controller parameter model := {folder / measuring.BETTER}')
+                send = f'controller parameter model := {folder / measuring.BETTER}'
+                text.append(send)
+        if diagnosis is not None and importlib.util.find_spec('plotly') is not None:
+            pictures = pictures_of(diagnosis, self.dataset, self.catalogue, added)
+            diagnosis_page(diagnosis, pictures, added, send).write(folder / REPORT)
+            written.append(REPORT)
         return [*text, f'written: {folder}: {", ".join(written)}']
