@@ -50,8 +50,7 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 model = Model(load_robot('config/robots/spatial_3.yaml'))
 model.shape(model.limits[:, 0])
-loads = {'loads.load_moments', 'loads.flat_moments', 'linearisation.load_slopes',
-         'equilibrium.descend'}
+loads = {'loads.load_moments', 'linearisation.load_slopes', 'equilibrium.descend'}
 leaning = {'geometry.leaning_travel', 'linearisation.leaning_slopes'}
 others = {'equilibrium.march', 'shape.ramped'}
 def compiled():

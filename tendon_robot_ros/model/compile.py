@@ -225,7 +225,7 @@ LINKED = {
     'sweep': ('prepare', 'place_travel', 'balance', 'residual'),
     'elimination': ('respond',),
     'equilibrium': ('newton', 'solve_equilibrium', 'descend', 'march'),
-    'loads': ('load_moments', 'flat_moments', 'bow_cells', 'pushes'),
+    'loads': ('load_moments', 'bow_cells', 'pushes'),
     'linearisation': ('load_slopes', 'push_slopes', 'leaning_slopes'),
     'geometry': ('leaning_travel',),
     'shape': ('remembered', 'ramped'),
@@ -237,7 +237,7 @@ BESIDE = ('respond', 'balance', 'residual', 'newton')
 # those of cells that twist.
 ONLY_WITH = {
     ('load', 'tip_load', 'push'): {
-        *('load_moments', 'flat_moments', 'bow_cells', 'load_slopes', 'descend'),
+        *('load_moments', 'bow_cells', 'load_slopes', 'descend'),
     },
     ('push',): {'pushes', 'push_slopes'},
     ('torsion',): {'leaning_travel', 'leaning_slopes'},

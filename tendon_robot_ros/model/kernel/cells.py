@@ -89,7 +89,7 @@ def axial_moment(x, y, sinc, versine, torque, start):
     return 0.5 * (start[2] + end)
 
 
-ARC_SERIES_BELOW = 0.25  # [rad²] so that the next term of the series in `gentle_arc` is rounding
+ARC_SERIES_BELOW = 0.25  # [rad²] so that the next term of the series in `arc_factor` is rounding
 SERIES_BELOW = 2.4  # [rad²] so that half the bend is below pi / 4: polynomials then round only
 
 
@@ -141,12 +141,6 @@ def arc_factor(q, s, c):
     """(sin(a)/a - cos(a)) / a² for S and C of a bend whose square is q [rad²]."""
     if not q < ARC_SERIES_BELOW:
         return (2.0 * s * c - 1.0 + 2.0 * s * s * q) / q
-    return gentle_arc(q)
-
-
-@fused
-def gentle_arc(q):
-    """`arc_factor` of a bend whose square q [rad²] is below `ARC_SERIES_BELOW`."""
     q2 = q * q
     return (
         (1.0 / 3.0 + q * (-1.0 / 30.0))

@@ -104,11 +104,10 @@ Work = namedtuple(
 )
 # Smoothing length of friction [m]; factor on the loads [1]; whether a sweep follows the guess (1)
 # or goes as if no effect needed the shape (0); whether every method for an equilibrium is tried
-# (1) or the quick ones (0); whether an unstable equilibrium is left for a stable one (1); whether
-# all loads lie in the plane x, z (1).
-SETTINGS = 'SMOOTHING LOAD_SCALE SHAPED EVERY_METHOD STABLE PLANAR_LOADS'.split()
+# (1) or the quick ones (0); whether an unstable equilibrium is left for a stable one (1).
+SETTINGS = 'SMOOTHING LOAD_SCALE SHAPED EVERY_METHOD STABLE'.split()
 SETTINGS_SIZE = len(SETTINGS)
-SMOOTHING, LOAD_SCALE, SHAPED, EVERY_METHOD, STABLE, PLANAR_LOADS = range(SETTINGS_SIZE)
+SMOOTHING, LOAD_SCALE, SHAPED, EVERY_METHOD, STABLE = range(SETTINGS_SIZE)
 
 # Workspace of a search: scratch, memory before and after, the state kept and that of a trial
 # (3n,), one more (3n,) as scratch, wire pulls of the tendons (k,) and of the inputs (m,).
@@ -159,7 +158,7 @@ CALLED = {
         types.void(CHAIN, WORD, WORD, WORK, MEMORY, WORD),
     ),
     **dict.fromkeys(
-        ('place_travel', 'load_moments', 'flat_moments', 'bow_cells', 'pushes'),
+        ('place_travel', 'load_moments', 'bow_cells', 'pushes'),
         types.void(CHAIN, WORD, WORK),
     ),
     'respond': WORD(CHAIN, WORD, WORD, WORD, WORK, MEMORY, WORD, WORD),

@@ -10,7 +10,7 @@ import numpy as np
 from numba import types
 
 from . import stages
-from .cells import cell_stiffness, chain_frames, half_turns, is_general, moment_held, unknowns
+from .cells import cell_stiffness, chain_frames, half_turns, moment_held, unknowns
 from .equilibrium import SAFE_LOAD, is_planar, load_ratio
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import (
@@ -20,7 +20,6 @@ from .layout import (
     LENGTH,
     LINEAR_STEP_RAD,
     LOAD_SCALE,
-    PLANAR_LOADS,
     SAME_SIGN,
     SETTLED_RAD,
     SHAPED,
@@ -46,7 +45,7 @@ from .layout import (
     work_from,
     work_size,
 )
-from .loads import at_tip, bows, end_at, loaded, push_at, weight
+from .loads import bows, end_at, loaded, push_at
 from .sweep import is_implicit, slip_direction
 
 
@@ -60,14 +59,9 @@ def work_in(chain, start):
     settings[SHAPED] = settings[EVERY_METHOD] = settings[STABLE] = 1.0
     for r in range(3):
         floats(work.frames)[4 * r] = 1.0
-    force, about = at_tip(chain)
-    flat = force[1] == 0.0 and about[0] == 0.0 and about[2] == 0.0
-    flat = flat and not (is_general(chain) or stages.push_acts(chain))
     for i in range(chain.n):
         floats(work.lengths)[i] = cell(chain, i, LENGTH)
         floats(work.compliance)[i] = 1.0 / cell_stiffness(chain, i)
-        flat = flat and weight(chain, i)[1] == 0.0
-    settings[PLANAR_LOADS] = 1.0 if flat else 0.0
     return work
 
 

@@ -25,7 +25,7 @@ from .cells import (
 )
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import compiled, copy, entry, floats, fused, inlined, words
-from .loads import lies_flat, loaded
+from .loads import loaded
 
 
 @compiled
@@ -432,7 +432,4 @@ def prepare(chain, inputs, guess, work, past, out):
     if slides:
         travel_beyond(chain, work)
     if loaded(chain):
-        if lies_flat(chain, guess, work):
-            chain.flat_moments(chain, guess, work)
-        else:
-            place_loads(chain, guess, work, past)
+        place_loads(chain, guess, work, past)
