@@ -337,7 +337,7 @@ def test_a_refusal_may_end_while_the_driver_says_its_status():
     node = MagicMock()
     decision = SimpleNamespace(state=FOLLOWING, reasons=())
     node._cycle = SimpleNamespace(decision=decision, held='', faults=())
-    node.loop.supervisor.latch.reasons = []
+    node.latch.reasons = []
     node._own.others.return_value = node._senders.names.return_value = ''
     refusals = iter([Refusal('stale', 'too old'), None, None])
     # the motor thread takes a good command meanwhile

@@ -23,7 +23,6 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from tendon_robot_ros.common.processes import FIRST_NICENESS
-from tendon_robot_ros.drivers.safety import StopLatch
 from tendon_robot_ros.ros.controller import parameters as model_loading
 from tendon_robot_ros.ros.controller.node import ControllerNode
 from tendon_robot_ros.ros.driver.node import DriverNode
@@ -141,8 +140,10 @@ def test_the_service_stop_answers_while_no_callback_is_served(context):
         assert (answer.success, 'no motors are open' in answer.message) == (True, True)
         driver.trigger_configure()
         driver.trigger_activate()
-        assert call(executor, client).success
         assert driver.loop.supervisor.latch.reasons == ['stop was called']
+        assert call(executor, client).success
+        driver.end()
+        assert driver.latch.reasons == ['stop was called'], 'of closed motors nothing else'
     finally:
         driver.end()
         driver.destroy_node()
@@ -219,13 +220,12 @@ def test_the_controllers_stop_is_heard_while_no_callback_is_served(context, monk
         answer = call(executor, client)  # no model yet: it counts when that comes
         assert answer.success
         assert 'no model and commands nothing, so the driver is told nothing' in answer.message
-        assert controller._stopped
-        controller.core = SimpleNamespace(latch=StopLatch())
+        assert controller.latch.reasons == ['stop was called']
+        controller.core = SimpleNamespace()
         processes.until(controller._publisher.get_subscription_count, 'a listener')
         answer = call(executor, client)
         assert answer.success
         assert 'the driver releases the arm' in answer.message
-        assert controller.core.latch.reasons == ['stop was called']
         processes.until(lambda: executor.spin_once(timeout_sec=0.1) or commands, 'a command')
         assert not commands[0].name  # the driver lets go
     finally:

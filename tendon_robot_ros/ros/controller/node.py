@@ -22,20 +22,19 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-from ...common.errors import TendonRobotError
+from ...common.errors import InputError, TendonRobotError
 from ...common.processes import Realtime, go_realtime, in_realtime
 from ...common.words import COMPILING
 from ...control import ControllerCore, Refusal
 from ...control.inputs import another_robot
 from ...control.solver import SOLVER, Worker
 from ...control.status import controller_status, controller_values
-from ...drivers.safety import StopLatch
 from ...model.model import Model
 from ...robot.keep_out import KeepOut
 from ..shared import interface
 from ..shared.inbox import Answer, Received, Service, subscribe_any_qos
 from ..shared.lifecycle import LEVELS, Status, StoppableNode
-from ..shared.messages import header_now, passing_subscription
+from ..shared.messages import attempted, header_now, passing_subscription
 from ..shared.quality import LISTEN
 from ..shared.runtime import Ending, repeat, run
 from ..shared.senders import gid_text
@@ -47,7 +46,6 @@ from .topics import DriverLink, Incoming, Prediction
 
 HELP = 'move the tip to targets: poses, points or twists in, tendon commands out'
 
-NOT_READY = 'the controller is not configured', 'the stop is over; there is no model'
 STARTING_WORDS = {
     'loading': 'reading the model',
     'compiling': COMPILING,
@@ -97,12 +95,6 @@ class ControllerNode(StoppableNode):
         repeat(self, 1.0 / self.parameters['rate'], self._cycle)
         repeat(self, 1.0 / self.parameters['shape_rate'], predict)
 
-    @property
-    def latch(self) -> StopLatch | None:
-        """The latch of stops; None while there is no model."""
-        core = self.core  # read once: any thread may call
-        return None if core is None else core.latch
-
     def ready(self) -> bool:
         """Return whether the model is compiled, so that `configure` returns soon."""
         loader = self._loading.loader
@@ -121,12 +113,11 @@ class ControllerNode(StoppableNode):
         self._keep_out = parameters.keep_out_of(self.parameters['keep_out'])
         settings = parameters.settings(self.parameters, self._keep_out)
         self._solver = Worker(self._wake)  # last: of a refused attempt no thread stays
-        core = ControllerCore(model, settings, self._solver)
+        core = ControllerCore(model, settings, self._solver, latch=self.latch)
         core.driver_reports(*self._driver.last)
         self._incoming = Incoming(self, model)
         self._prediction = Prediction(self, self._incoming)
         self.core = core
-        self.latch_early_stops()
         if Ending.current.first:
             go_realtime(Realtime.CONTROLLER, but=[SOLVER])
             if in_realtime():  # this thread limits the time of the solver
@@ -162,7 +153,7 @@ class ControllerNode(StoppableNode):
         """Have the arm released, and send no more commands."""
         while self._targets:
             self.destroy_subscription(self._targets.pop())
-        self._let_go()
+        self.let_go()
 
     def cleanup(self) -> None:
         """Drop the model; the next `configure` loads it again."""
@@ -260,16 +251,17 @@ class ControllerNode(StoppableNode):
             pulls = output.pulls
             tensions = output.tensions if pulls is None else None
             with self._speaking:
-                if not core.latch:  # unless a stop came meanwhile
+                if not self.latch:  # unless a stop came meanwhile
                     self.say(core.model.inputs, pulls, tensions)
         if now - self._status_at >= NEWS_PERIOD_S:
             self._status_at = now
             self._publish_status(core, now)
 
-    def _let_go(self) -> None:
+    def let_go(self) -> None:
         """Have the driver release the arm at once: send a command without tendons."""
-        with self._speaking:
-            self._publisher.publish(JointState(header=header_now(self)))
+        if self.core is not None:
+            with self._speaking:
+                self._publisher.publish(JointState(header=header_now(self)))
 
     def _idle(self) -> None:
         """Publish that the node waits for a transition, in place of its last status."""
@@ -333,18 +325,6 @@ class ControllerNode(StoppableNode):
         if (core := self.core) is not None:
             core.resumed() if follows else core.not_resumed(why)
 
-    def stop_by_topic(self, reason: str) -> None:
-        """Stop and have the arm released, by the topic `stop`."""
-        if self.core is not None:
-            self.core.stop('stop topic', reason, lasting=True)
-            self._let_go()
-
-    def stop_now(self) -> None:
-        """Stop at once, in the thread that receives the stop; the core drops its target."""
-        super().stop_now()
-        if self.core is not None:
-            self._let_go()
-
     def stop_called(self) -> str:
         """Stop; return what follows, as the service `~/stop` answers."""
         self.stop_now()
@@ -361,32 +341,32 @@ class ControllerNode(StoppableNode):
     def _request_reset(self, send: Answer) -> None:
         """Reset in the executor: the thread that receives stops must not wait for the driver."""
         if self.core is None or self.executor is None:
-            stopped, self._stopped = self._stopped, False
-            send(stopped, NOT_READY[stopped])
+            send(*attempted(self._clear_stops))
         else:
             self.executor.create_task(lambda: self._reset(send))
 
     def _reset(self, send: Answer) -> None:
         """Clear the stops once the driver has answered that it follows."""
 
-        def reset() -> None:
-            try:
-                if self.core is not None:
-                    self.core.reset()
-                    self._stopped = False
-                send(True, 'waiting for a target')
-            except TendonRobotError as error:
-                send(False, str(error))
-
         def answered(follows: bool, why: str) -> None:
             if follows:
                 self._resumed(follows, why)
-                reset()
+                send(*attempted(self._clear_stops))
             else:
                 send(False, f'reset refused: the driver is stopped: {why}')
 
         if self._driver.another or not self._driver.resume(answered):
-            reset()
+            send(*attempted(self._clear_stops))
+
+    def _clear_stops(self) -> str:
+        """Clear the stops, if their causes are gone; return a text."""
+        if self.core is not None:
+            self.core.reset()
+            return 'waiting for a target'
+        if not self.latch:
+            raise InputError('the controller is not configured')
+        self.latch.reset()
+        return 'the stop is over; there is no model'
 
     def _retune(self, names: Collection[str]) -> None:
         """Apply changed parameters."""

@@ -22,11 +22,11 @@ from ...common.processes import Realtime, go_realtime
 from ...common.words import COMPILING
 from ...control.inputs import Refusal, by_name, finite
 from ...drivers.mock import MockDriver
-from ...drivers.safety import FOLLOWING, HOLDING, LIMP, OFF, RELEASED, StopLatch, Supervisor
+from ...drivers.safety import FOLLOWING, HOLDING, LIMP, OFF, RELEASED, Supervisor
 from ...drivers.tendon_check import due
 from ...robot import load_robot
 from ..shared.inbox import Received
-from ..shared.lifecycle import ERROR, OK, WARN, Status, StoppableNode
+from ..shared.lifecycle import ERROR, OK, STOP, STOP_TOPIC, WARN, Status, StoppableNode
 from ..shared.messages import check_age, offer_trigger
 from ..shared.runtime import Ending, repeat, run
 from ..shared.senders import gid_text
@@ -70,19 +70,8 @@ class DriverNode(StoppableNode):
         ):
             offer_trigger(self, f'~/{name}', partial(self._try, act, outcome))
         repeat(self, VALUES_PERIOD_S, self._publish_status)  # a release is published at once
-
-        def let_go() -> None:
-            """Start the release; the main thread calls `deactivate` later."""
-            if (latch := self.latch) is not None:
-                latch.stop(INACTIVE, INACTIVE_REASON)
-
-        Ending.current.then(let_go)
-
-    @property
-    def latch(self) -> StopLatch | None:
-        """The latch of stops; None while no motors are open."""
-        loop = self.loop  # read once: any thread may call
-        return None if loop is None else loop.supervisor.latch
+        # starts the release; the main thread calls `deactivate` later
+        Ending.current.then(partial(self.latch.stop, INACTIVE, INACTIVE_REASON))
 
     def configure(self) -> None:
         """Read the robot, open the port, start to read the motors."""
@@ -97,6 +86,7 @@ class DriverNode(StoppableNode):
             self.status.publish(WARN, 'starting', text)
         driver, tracker = backend.make(robot, self.parameters, self)
         supervisor = Supervisor(backend.rules(robot, driver, self.parameters))
+        supervisor.latch = self.latch
         if hasattr(driver, 'cancelled'):  # its search for the slack of wires may take long
             driver.cancelled = self._cancelled
         driver.open()
@@ -105,7 +95,6 @@ class DriverNode(StoppableNode):
         )
         if isinstance(driver, MockDriver):
             self._tracker = MockTracker(self, driver, tracker)
-        self.latch_early_stops()
         self.loop.start()
         if Ending.current.first:  # a mock arm computes: motors of another robot have priority
             mock = isinstance(driver, MockDriver)
@@ -116,7 +105,7 @@ class DriverNode(StoppableNode):
         assert self.loop is not None
         loop = self.loop
         self.status.publish(WARN, 'starting', 'switches torque on; looks for slack first if told')
-        loop.call(lambda: loop.supervisor.latch.forget(INACTIVE))
+        self.latch.forget(INACTIVE)
         loop.activate()
         if strength := loop.driver.strength():
             self.get_logger().info(strength)
@@ -139,6 +128,8 @@ class DriverNode(StoppableNode):
         if self.loop is not None:
             self.loop.close()
         self.loop = self._tracker = self._cycle = None
+        for key in self.latch.keys - {STOP, STOP_TOPIC}:  # of motors that are no longer open
+            self.latch.forget(key)
 
     def running(self) -> bool:
         """Raise the error of a motor thread that failed; else as the base class."""
@@ -197,7 +188,7 @@ class DriverNode(StoppableNode):
             if self.phase == 'unconfigured' and not self.parameters['autostart']:
                 self.status.publish(WARN, 'unconfigured', 'waits to be configured')
             return
-        decision, latched = cycle.decision, loop.supervisor.latch.reasons  # the latch is newer
+        decision, latched = cycle.decision, self.latch.reasons  # the latch is newer
         stopped = bool(latched)
         state = 'releasing' if stopped and decision.state == FOLLOWING else decision.state
         level = ERROR if stopped else OK if state == FOLLOWING else WARN
@@ -253,15 +244,11 @@ class DriverNode(StoppableNode):
         return f'{does}; call reset to go on'
 
     def _reset(self) -> str:
-        def reset(loop: MotorLoop) -> None:
-            loop.reset()
-            self._stopped = False
-
-        if self.loop is None and self._stopped:
-            self._stopped = False
+        if self.loop is None and self.latch:
+            self.latch.reset()
             return 'the stop is over; no motors are open'
         outcome = 'waiting for commands' if self.phase == 'active' else 'activate it next'
-        return self._try(reset, outcome)
+        return self._try(MotorLoop.reset, outcome)
 
     def _try(self, action: Callable[[MotorLoop], None], outcome: str) -> str:
         """Run an action in the motor thread; return `outcome`, or raise its error."""

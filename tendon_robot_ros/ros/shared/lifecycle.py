@@ -6,6 +6,7 @@ import gc
 import time
 import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -19,7 +20,7 @@ from ...common.errors import MovedError, TendonRobotError
 from ...common.local_stop import StopListener, Stoppable
 from ...drivers.safety import StopLatch
 from . import interface
-from .inbox import STOP_REASON, Inbox, Service, StopTopic
+from .inbox import Inbox, Service, StopTopic
 from .messages import refilled, stamp_now
 from .parameters import ParameterNode
 from .quality import JOINTS
@@ -28,7 +29,7 @@ from .timing import NEWS_PERIOD_S, RETRY_PERIOD_S, STATUS_PERIOD_S, VALUES_PERIO
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 LEVELS = {'ok': OK, 'warn': WARN, 'error': ERROR}
-STOP_CALLED = 'stop was called'
+STOP, STOP_TOPIC = 'stop', 'stop topic'  # keys of the stops that somebody requested
 
 
 class StoppableNode(ParameterNode, LifecycleNode):
@@ -38,9 +39,8 @@ class StoppableNode(ParameterNode, LifecycleNode):
     A subclass has `configure`, `activate`, `deactivate` and `cleanup`; each may raise a
     TendonRobotError, which refuses the transition with its text.
 
-    The service ~/stop, the topic `stop` and the command `stop` stop it. A stop that arrives before
-    there is anything to stop is kept: a subclass calls `latch_early_stops` at the end of its
-    `configure`.
+    The service ~/stop, the topic `stop` and the command `stop` stop it. The latch is that of the
+    node, so that a stop that arrives before there is anything to stop counts, too.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class StoppableNode(ParameterNode, LifecycleNode):
     def __init__(self, name: str, drives: bool, hears: str, says: str) -> None:
         """Create the node, unconfigured; `listen` subscribes to stops."""
         super().__init__(name)
-        self._drives, self._stopped = drives, False
+        self._drives, self.latch = drives, StopLatch()
         self._senders = Senders(self, hears)
         self._inbox = Inbox[JointState](self, *interface.topic(hears)[:2], JOINTS)
         self._message = JointState()  # filled anew for every publication
@@ -173,13 +173,13 @@ class StoppableNode(ParameterNode, LifecycleNode):
 
     def listen(self, *services: Service) -> None:
         """Receive stops and answer services in a thread of their own."""
-
-        def cleared() -> None:
-            if (latch := self.latch) is not None:
-                latch.cause_removed('stop topic')
-
         stop = Service(self, '~/stop', lambda send: send(True, self.stop_called()))
-        self.stop_topic = StopTopic(self, self.stop_by_topic, cleared, [stop, *services])
+        self.stop_topic = StopTopic(
+            self,
+            partial(self.stop_now, STOP_TOPIC, lasting=True),
+            partial(self.latch.cause_removed, STOP_TOPIC),
+            [stop, *services],
+        )
         self._local_stop = StopListener(
             self.context.get_domain_id(),
             Stoppable(self.get_fully_qualified_name(), self._drives),
@@ -187,32 +187,19 @@ class StoppableNode(ParameterNode, LifecycleNode):
         )
         self.closing += self.stop_topic, self._local_stop
 
-    @property
-    def latch(self) -> StopLatch | None:
-        """The latch of stops; None while there is nothing to stop."""
-        raise NotImplementedError
-
     def stop_called(self) -> str:
         """Stop; return what follows, as the service `~/stop` answers."""
         raise NotImplementedError
 
-    def stop_by_topic(self, reason: str) -> None:
-        """Latch the stop of the topic `stop`."""
-        if (latch := self.latch) is not None:
-            latch.stop('stop topic', reason, lasting=True)
-
-    def stop_now(self) -> None:
+    def stop_now(
+        self, key: str = STOP, reason: str = 'stop was called', lasting: bool = False
+    ) -> None:
         """Latch a stop, in the thread that receives it."""
-        self._stopped = True
-        if (latch := self.latch) is not None:
-            latch.stop('stop', STOP_CALLED)
+        self.latch.stop(key, reason, lasting)
+        self.let_go()
 
-    def latch_early_stops(self) -> None:
-        """Latch the stops that arrived before there was anything to stop."""
-        if self.stop_topic.active:
-            self.stop_by_topic(STOP_REASON)
-        if self._stopped:
-            self.stop_now()
+    def let_go(self) -> None:
+        """Have the arm released, where another node does that."""
 
     def destroy_node(self) -> None:
         """Close subscriptions and sockets, and destroy the node."""

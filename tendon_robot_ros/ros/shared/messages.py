@@ -290,6 +290,14 @@ def passing_subscription(
     return node.create_subscription(kind, topic, callback, qos, raw=raw, event_callbacks=quiet)
 
 
+def attempted(act: Callable[[], str]) -> tuple[bool, str]:
+    """Return whether an action succeeds, and its text or that of its TendonRobotError."""
+    try:
+        return True, act()
+    except TendonRobotError as error:
+        return False, ' '.join(str(error).split())
+
+
 def offer_trigger(
     node: Node,
     service: str,
@@ -304,10 +312,7 @@ def offer_trigger(
     """
 
     def respond(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            response.message, response.success = act(), True
-        except TendonRobotError as error:
-            response.message, response.success = ' '.join(str(error).split()), False
+        response.success, response.message = attempted(act)
         then(response.message)
         return response
 
