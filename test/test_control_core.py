@@ -141,7 +141,7 @@ def test_a_turn_begins_where_the_tip_looks_after_it_was_moved():
 
 def test_a_stop_silences_it_and_drops_the_target():
     rig = aimed(0.02)
-    rig.core.stop('topic', 'topic stop says true', lasting=True)
+    rig.core.latch.stop('topic', 'topic stop says true', lasting=True)
     assert rig.run(0.1) is None
     with pytest.raises(Refusal, match='topic stop says true; call reset first'):
         rig.core.aim(reachable())
@@ -152,6 +152,14 @@ def test_a_stop_silences_it_and_drops_the_target():
     before = rig.tensions
     rig.run(0.5)
     assert np.array_equal(rig.tensions, before)
+    assert rig.code() == 'holding'
+
+
+def test_a_stop_and_a_reset_in_the_same_cycle_drop_the_target():
+    rig = aimed(0.02)
+    rig.core.latch.stop('stop', 'stop was called')
+    rig.core.reset()
+    rig.run(0.5)
     assert rig.code() == 'holding'
 
 

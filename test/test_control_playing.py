@@ -91,7 +91,7 @@ def test_a_stop_and_a_lost_driver_end_a_trajectory():
         rig.core.play(rig.now, trajectory([2.0], END))
         rig.run(0.5)
         if event == 'stop':
-            rig.core.stop('test', 'a test')
+            rig.core.latch.stop('test', 'a test')
             assert rig.run(0.1) is None
             continue
         rig.alive = False

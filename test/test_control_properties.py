@@ -43,7 +43,7 @@ def tell(core, now, kind, *values):
     elif kind == 'states':
         core.measured(now, np.array(values[0]), np.zeros(4))
     elif kind == 'stop':
-        core.stop('stop', 'stop was called')
+        core.latch.stop('stop', 'stop was called')
     elif kind == 'reset':
         core.reset()
     elif kind.startswith('driver'):

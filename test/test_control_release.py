@@ -287,7 +287,7 @@ def refuse_a_target(rig):
 
 def test_a_refusal_because_of_a_stop_ends_with_it():
     rig = standing()
-    rig.core.stop('stop', 'stop was called')
+    rig.core.latch.stop('stop', 'stop was called')
     refuse_a_target(rig)
     rig.core.reset()
     rig.run(0.1)

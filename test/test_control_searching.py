@@ -55,7 +55,7 @@ def test_while_it_searches_it_holds_says_so_and_can_be_stopped(rig):
     assert said.message == 'looking for tensions for the target, for 3.0 s'
     values = controller_values(rig.core, rig.now)
     assert (values['target_stamp'], values['moving']) == ('new', 'true')
-    rig.core.stop('stop', 'stop was called')
+    rig.core.latch.stop('stop', 'stop was called')
     assert rig.run(0.1) is None
     rig.core.reset()
     rig.core.solver.answer('target')  # much too late

@@ -139,15 +139,12 @@ class ControllerCore(ControllerState):
 
         self.solver.post('trajectory', work, done)
 
-    def stop(self, key: str, reason: str, lasting: bool = False) -> None:
-        """Latch a stop and drop the target; reset is refused while a lasting cause exists."""
-        self.latch.stop(key, reason, lasting)
-        self._drop()
-
     def reset(self) -> None:
         """Clear the stops and wait for a new target; raise DriverError while a cause exists."""
         if self.driver.stopped:
             raise DriverError(f'reset refused: the driver is stopped: {self.driver.stopped}')
+        if self.latch:
+            self._drop()  # the stop may be of this cycle
         self.latch.reset()
         self.refusals.pop('target', None)
         self.driver.dropped = None
