@@ -14,10 +14,12 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from forked import Forked
 from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -168,17 +170,15 @@ class Station:
     def trigger(self, name):
         return self.call(Trigger, name)
 
+    def change(self, node, transition):
+        """Ask a node for a transition; return whether it was taken."""
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return self.call(ChangeState, f'{node}/change_state', request).success
+
     def set(self, node, name, value):
         """Set a parameter; return the result with its reason."""
-        kinds = {
-            str: ('STRING', 'string_value'),
-            float: ('DOUBLE', 'double_value'),
-            int: ('INTEGER', 'integer_value'),
-            bool: ('BOOL', 'bool_value'),
-        }
-        kind, field = kinds[type(value)]
-        given = ParameterValue(type=getattr(ParameterType, f'PARAMETER_{kind}'), **{field: value})
-        request = SetParametersAtomically.Request(parameters=[Parameter(name=name, value=given)])
+        given = Parameter(name, value=value).to_parameter_msg()
+        request = SetParametersAtomically.Request(parameters=[given])
         return self.call(
             SetParametersAtomically, f'{node}/set_parameters_atomically', request
         ).result

@@ -13,7 +13,6 @@ from launch_stand_in import launch
 pytest.importorskip('rclpy')
 
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from ros_station import LOW, PATIENT, Station, alone, last, stamp, start, values
 from source_tree import ROOT
 
@@ -46,8 +45,7 @@ def moved(space, **driver):
 def test_a_transition_that_is_not_there_is_refused_and_nothing_else_happens(space):
     driver, _ = moved(space)
     for wanted in (Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_CONFIGURE, 99):
-        request = ChangeState.Request(transition=Transition(id=wanted))
-        assert not space.call(ChangeState, 'driver/change_state', request).success
+        assert not space.change('driver', wanted)
     space.states.clear()
     space.until(lambda: len(space.states) > 20, 'states')
     assert driver.process.poll() is None
@@ -161,28 +159,23 @@ def test_release_to_limp_switches_torque_off(space):
     space.until(lambda: max(last(space.states).effort) < 0.01, 'slack tendons')
 
 
-def change(space, node, transition):
-    request = ChangeState.Request(transition=Transition(id=transition))
-    return space.call(ChangeState, f'{node}/change_state', request).success
-
-
 def test_without_autostart_the_transitions_are_those_of_ros(space):
     heard = {'driver': space.driver, 'controller': space.controller}
     active = {'driver': ('following', 'releasing', 'released'), 'controller': ('holding',)}
     for node, said in heard.items():
         space.run(node, autostart=False)
         space.until_code(said, 'unconfigured')
-        assert change(space, node, Transition.TRANSITION_CONFIGURE)
+        assert space.change(node, Transition.TRANSITION_CONFIGURE)
         space.until_code(said, 'off')
-        assert change(space, node, Transition.TRANSITION_ACTIVATE)
+        assert space.change(node, Transition.TRANSITION_ACTIVATE)
         space.until_code(said, *active[node])
-    assert change(space, 'controller', Transition.TRANSITION_DEACTIVATE)
+    assert space.change('controller', Transition.TRANSITION_DEACTIVATE)
     space.until_code(space.controller, 'off')
-    assert change(space, 'driver', Transition.TRANSITION_DEACTIVATE)
+    assert space.change('driver', Transition.TRANSITION_DEACTIVATE)
     space.until_code(space.driver, 'stopped')
     assert 'the node is not active' in last(space.driver).message
-    assert change(space, 'driver', Transition.TRANSITION_CLEANUP)
-    assert change(space, 'driver', Transition.TRANSITION_CONFIGURE)
+    assert space.change('driver', Transition.TRANSITION_CLEANUP)
+    assert space.change('driver', Transition.TRANSITION_CONFIGURE)
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,6 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParametersAtomically
 from ros_station import Station, last, stamp, start, values
 
 from tendon_robot_ros.robot import dump_robot, load_robot
@@ -34,16 +32,7 @@ def test_an_effect_of_the_users_own_is_loaded_while_the_arm_is_held(tmp_path, mo
         station = Station('/reload')
         station.until_code(station.controller, 'holding', timeout=300.0)
         station.go_to_point(0.06, 0.17)
-        files = ParameterValue(
-            type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=[str(path)]
-        )
-        request = SetParametersAtomically.Request(
-            parameters=[Parameter(name='effects', value=files)]
-        )
-        answer = station.call(
-            SetParametersAtomically, 'controller/set_parameters_atomically', request
-        )
-        assert answer.result.successful
+        assert station.set('controller', 'effects', [str(path)]).successful
         station.commands.clear()
         station.driver.clear()
         before, held = len(station.states), max(last(station.states).effort)

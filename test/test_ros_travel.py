@@ -11,7 +11,6 @@ pytest.importorskip('dynamixel_sdk')
 
 from emulated import ForkedEmulator
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from ros_station import Station, last, start, values
 from std_msgs.msg import Bool
 
@@ -59,11 +58,6 @@ def wound(servos):
     return np.array(servos.ask('state')['wound'])
 
 
-def change(station, transition):
-    request = ChangeState.Request(transition=Transition(id=transition))
-    return station.call(ChangeState, 'driver/change_state', request).success
-
-
 def test_a_refused_search_is_not_begun_again_by_itself(free):
     station, servos = free
     begin = wound(servos)
@@ -77,10 +71,11 @@ def test_a_refused_search_is_not_begun_again_by_itself(free):
     assert 'no resistance within home_travel' in said.message
     assert 'call reset, then activate again' in said.message
 
-    assert not change(station, Transition.TRANSITION_ACTIVATE)  # by hand, but nobody has reset
-    assert change(station, Transition.TRANSITION_CLEANUP)
-    assert change(station, Transition.TRANSITION_CONFIGURE)  # another driver object
-    assert not change(station, Transition.TRANSITION_ACTIVATE)
+    # by hand, but nobody has reset
+    assert not station.change('driver', Transition.TRANSITION_ACTIVATE)
+    assert station.change('driver', Transition.TRANSITION_CLEANUP)
+    assert station.change('driver', Transition.TRANSITION_CONFIGURE)  # another driver object
+    assert not station.change('driver', Transition.TRANSITION_ACTIVATE)
     assert np.abs(wound(servos) - begin).max() < TRAVEL + MORE
 
     answer = station.trigger('driver/reset')
@@ -89,7 +84,7 @@ def test_a_refused_search_is_not_begun_again_by_itself(free):
     station.until_code(station.driver, 'off')
     station.spin(max(0.0, RETRIED - (time.monotonic() - began)))
     assert np.abs(wound(servos) - begin).max() < TRAVEL + MORE  # a reset moves nothing
-    assert not change(station, Transition.TRANSITION_ACTIVATE)
+    assert not station.change('driver', Transition.TRANSITION_ACTIVATE)
     assert np.abs(wound(servos) - begin).max() > 1.5 * TRAVEL
 
 

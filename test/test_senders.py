@@ -14,7 +14,6 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from forked import Forked
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from rclpy.signals import SignalHandlerOptions
 from ros_station import alone, last, point, values
 from sensor_msgs.msg import JointState
@@ -167,8 +166,7 @@ def robot(request, tmp_path):
 def begin(robot, *transitions):
     """Have the second node, which all others know by now, begin to speak."""
     for transition in transitions:
-        request = ChangeState.Request(transition=Transition(id=transition))
-        assert robot.call(ChangeState, 'second/change_state', request).success
+        assert robot.change('second', transition)
 
 
 @pytest.mark.ros

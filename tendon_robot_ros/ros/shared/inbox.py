@@ -215,6 +215,8 @@ def subscribe_any_qos[M](
     that are reliable; a message that arrives by both is handled once. A message that is too long
     to be parsed between commands is refused.
     """
+    # compared by their bytes, because the executor of events of rclpy 7.1.6 fails where a callback
+    # takes the sequence number, too
     waiting: deque[tuple[float, int, bytes]] = deque()
 
     def receive(message: bytes, path: int) -> None:
