@@ -10,7 +10,7 @@ example: python -m tendon_robot_ros robot-model --ros-args -r __ns:=/left_arm
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -86,6 +86,4 @@ def stamped(robot: Robot, angles: Floats, prefix: str, stamp: object) -> list[Tr
     return messages
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the node until a signal comes."""
-    return run(RobotModelNode, arguments)
+main = partial(run, RobotModelNode)  # until a signal comes

@@ -15,8 +15,8 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Twist, TwistStamped
@@ -113,9 +113,7 @@ class TeleopNode(ParameterNode):
         self._twists.publish(TwistStamped(header=header_now(self, frame), twist=twist))
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the node until q or a signal."""
-    return run(TeleopNode, arguments)
+main = partial(run, TeleopNode)  # until q or a signal comes
 
 
 AXES = 'da', 'ws', 'rf', 'ik', 'lj'  # keys along + and - of linear x, y, z, about x, y

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from functools import partial
 from typing import Any
 
@@ -379,6 +379,4 @@ class ControllerNode(StoppableNode):
             self.core.settings = parameters.settings(self.parameters, self._keep_out)
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the node until a signal comes."""
-    return run(ControllerNode, arguments, first=True)
+main = partial(run, ControllerNode, first=True)  # until a signal comes

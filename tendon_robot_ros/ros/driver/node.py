@@ -11,7 +11,7 @@ example: python -m tendon_robot_ros driver --ros-args -p robot:=kato_10_1 -p con
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from functools import partial
 from pathlib import Path
 
@@ -276,6 +276,4 @@ class DriverNode(StoppableNode):
             loop.supervisor.rules = backend.rules(driver.robot, driver, self.parameters)
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the node until a signal comes."""
-    return run(DriverNode, arguments, first=True)
+main = partial(run, DriverNode, first=True)  # until a signal comes

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -412,6 +412,4 @@ def _transform(text: str) -> tuple[Floats, Floats] | None:
     return from_quaternion(numbers[3:] / norm), numbers[:3]
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the node until a signal comes."""
-    return run(MonitorNode, arguments)
+main = partial(run, MonitorNode)  # until a signal comes

@@ -15,7 +15,7 @@ import math
 import secrets
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -178,6 +178,4 @@ def is_local(host: str) -> bool:
         return False
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the node until a signal comes."""
-    return run(ViewerNode, arguments)
+main = partial(run, ViewerNode)  # until a signal comes
