@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tendon_robot_ros.ros.viewer.page import Picture, framed
+from tendon_robot_ros.ros.viewer.page import framed
 
 FOV = np.deg2rad(75.0)
 # of the scene beside the panel, width and height [px], and what the panel leaves free of it:
@@ -39,7 +39,7 @@ def test_the_ball_in_which_an_arm_moves_fills_what_the_panel_leaves_free(width, 
     width, height, free = WINDOWS[width]
     points = np.random.default_rng(0).normal(size=(20000, 3))
     points *= length / np.linalg.norm(points, axis=1)[:, None]
-    places = seen(framed(length, Picture(FOV, width, height)), points, width, height)
+    places = seen(framed(length, FOV, width / height), points, width, height)
     assert inside(places, free)
     share = np.ptp(places, axis=0) / [free[1] - free[0], free[3] - free[2]]
     assert share.max() > 0.97, 'no nearer view holds it'

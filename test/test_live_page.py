@@ -16,7 +16,7 @@ from tendon_robot_ros.common.colours import ERROR, MEASURED, PREDICTED, rgb
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.viewer.node import is_local
-from tendon_robot_ros.ros.viewer.page import MEASURED_WIDTH, LivePage, Picture, framed
+from tendon_robot_ros.ros.viewer.page import MEASURED_WIDTH, LivePage, framed
 from tendon_robot_ros.ros.viewer.state import ViewState
 
 pytestmark = pytest.mark.browser
@@ -152,7 +152,7 @@ def test_a_desktop_and_a_phone_see_both_arms_from_base_to_tip(trusted, tmp_path)
             )
 
     arm = np.vstack([np.zeros(3), shown.measured])
-    whole = np.ptp(seen(framed(0.208, Picture(FOV, 400, 900)), arm, 400, 900)[:, 1])  # [px]
+    whole = np.ptp(seen(framed(0.208, FOV, 400 / 900), arm, 400, 900)[:, 1])  # [px]
 
     def seen_from_base_to_tip():
         page.update(shown, 0.0)
@@ -199,7 +199,7 @@ def test_the_camera_follows_the_length_of_the_arm(trusted, tmp_path):
         def whole():
             page.update(opened.shown, 0.0)  # again and again, as the node does
             width, height = browser.run(SCENE)
-            view = framed((1.0 + 0.5 * MEASURED_WIDTH) * 3.0 * long, Picture(FOV, width, height))
+            view = framed((1.0 + 0.5 * MEASURED_WIDTH) * 3.0 * long, FOV, width / height)
             blue = places(browser, tmp_path, rgb(PREDICTED))
             top = blue[blue[:, 0] < width, 1].min(initial=9999)
             # [px], half the width of the line

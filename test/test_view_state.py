@@ -19,14 +19,8 @@ def said(state, **values):
 
 
 def published(verdict):
-    return json.dumps(
-        {
-            'verdict': verdict,
-            'guide': verdict.guide,
-            'may_add': verdict.may_add,
-            'noise_floor': 3e-4,
-        }
-    )
+    content = {'verdict': verdict, 'guide': verdict.guide, 'may_add': verdict.may_add}
+    return json.loads(json.dumps({**content, 'noise_floor': 3e-4}))
 
 
 def test_the_page_leads_from_the_first_click_to_the_fallen_error():
@@ -40,7 +34,7 @@ def test_the_page_leads_from_the_first_click_to_the_fallen_error():
     assert state.ready['diagnose']
     assert 'Comparing every' in said(state, postures='9', diagnosing='true')
     assert not state.ready['diagnose'] and not state.ready['record']
-    state.set_verdict(published(Verdict.MISSING_EFFECT))
+    state.verdict = published(Verdict.MISSING_EFFECT)
     assert 'Fitting' in said(state, postures='9', diagnosing='true')
     assert 'Click 3' in said(state, postures='9', addition='gravity')
     assert state.ready['record']
@@ -65,7 +59,7 @@ def test_the_first_button_says_what_a_click_on_it_does_to_what_is_recorded():
 
 def test_a_new_diagnosis_forgets_the_verdict_before():
     state = ViewState()
-    state.set_verdict(published(Verdict.ADEQUATE))
+    state.verdict = published(Verdict.ADEQUATE)
     assert 'Nothing is missing' in said(state, postures='9')
     assert 'Comparing every' in said(state, postures='9', diagnosing='true')
     assert state.verdict == {}
@@ -73,7 +67,7 @@ def test_a_new_diagnosis_forgets_the_verdict_before():
 
 def test_what_the_catalogue_cannot_name_is_not_added():
     state = ViewState()
-    state.set_verdict(published(Verdict.OUTSIDE_CATALOGUE))
+    state.verdict = published(Verdict.OUTSIDE_CATALOGUE)
     assert 'no name for this cause' in said(state, postures='9', addition='tip_load')
     assert not state.ready['add']
 

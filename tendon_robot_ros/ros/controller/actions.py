@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped
 from rclpy.action.server import ActionServer, CancelResponse
 from rclpy.node import Node
 from std_msgs.msg import Header
@@ -23,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from ...control import ControllerCore, Refusal
 from ...control.status import GoalOutcome, MotionGoal, Progress, Tolerance
 from ..shared.interface import declared
-from ..shared.messages import duration, header_now, pose, seconds, xyzw
+from ..shared.messages import duration, header_now, pose_stamped, seconds, xyzw
 from ..shared.timing import VALUES_PERIOD_S
 from .topics import Incoming
 
@@ -141,9 +141,7 @@ class TipPoses:
             distance_remaining=float(np.nan_to_num(progress.distance)),
         )
         if progress.tip is not None and progress.frame is not None:
-            message.current_pose = PoseStamped(
-                header=header, pose=pose(progress.tip, progress.frame)
-            )
+            message.current_pose = pose_stamped(header, progress.tip, progress.frame)
         _fill(message, number_of_poses_remaining=progress.steps_remaining)
         return message
 

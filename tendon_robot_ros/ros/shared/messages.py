@@ -103,11 +103,6 @@ def xyzw(message: Quaternion) -> list[float]:
     return [message.x, message.y, message.z, message.w]
 
 
-def pose(position: Floats, rotation: Floats) -> Pose:
-    """Return a pose."""
-    return Pose(position=point(position), orientation=quaternion(rotation))
-
-
 def pose_array(header: Header, positions: Floats, rotations: Floats | None = None) -> PoseArray:
     """Return poses of positions (n, 3) [m] and rotation matrices (n, 3, 3); None: unrotated."""
     array = PoseArray(header=header, poses=[Pose(position=point(p)) for p in positions])
@@ -124,7 +119,8 @@ def points_of(message: PoseArray) -> Floats:
 
 def pose_stamped(header: Header, position: Floats, rotation: Floats) -> PoseStamped:
     """Return a stamped pose."""
-    return PoseStamped(header=header, pose=pose(position, rotation))
+    pose = Pose(position=point(position), orientation=quaternion(rotation))
+    return PoseStamped(header=header, pose=pose)
 
 
 def header_now(node: Node, frame: str = '') -> Header:

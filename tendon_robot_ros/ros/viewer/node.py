@@ -123,7 +123,7 @@ class ViewerNode(ParameterNode):
             'monitor/contact': contact,
             'monitor/rolling_error': lambda m: state.add_error(now(), m.data),
             'monitor/marker_errors': lambda m: state.add_marker_errors(now(), m.data),
-            'monitor/verdict': lambda m: state.set_verdict(m.data),
+            'monitor/verdict': keep('verdict', lambda m: json.loads(m.data)),
             'tour': keep('touring', lambda m: m.data),
             'investigate/progress': lambda m: state.add_investigation(m.data),
         }

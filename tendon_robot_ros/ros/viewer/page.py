@@ -7,7 +7,7 @@ import queue
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -37,19 +37,8 @@ ALONG = np.array([0.0, 0.99, -0.14])
 PANEL_OF_PHONES = 0.6
 # [1] width over height of a scene, below which it is a phone's, because desktops are wider
 PHONE_ASPECT = 0.8
-
-
-class Picture(NamedTuple):
-    """The image of a camera: vertical field of view [rad] and size [px]."""
-
-    fov: float = float(np.deg2rad(75.0))  # default of viser; size on a desktop
-    width: float = 1200.0
-    height: float = 900.0
-
-    @classmethod
-    def of(cls, camera: Any) -> Picture:
-        """Return the image of a browser's camera."""
-        return cls(float(camera.fov), float(camera.image_width), float(camera.image_height))
+# [rad] default of viser, and [1] width over height, because no browser has told its own yet
+DESKTOP = float(np.deg2rad(75.0)), 4.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -60,7 +49,7 @@ class View:
     look_at: Floats
 
 
-def framed(radius: float, picture: Picture) -> View:
+def framed(radius: float, fov: float, aspect: float) -> View:
     """
     Return the closest view of a ball about the base that the panel does not cover.
 
@@ -72,11 +61,13 @@ def framed(radius: float, picture: Picture) -> View:
     Parameters
     ----------
     radius : float [m]
-    picture : Picture
+    fov : float [rad]
+        Vertical field of view.
+    aspect : float
+        Width over height of the image.
 
     """
-    half = np.tan(0.5 * picture.fov)
-    aspect = picture.width / picture.height
+    half = np.tan(0.5 * fov)
     lowest = 2.0 * PANEL_OF_PHONES - 1.0 if aspect < PHONE_ASPECT else -1.0
     sides = half * np.array([[-aspect, aspect], [lowest, 1.0]])  # at depth 1
     margins = radius * np.sqrt(1.0 + sides**2)
@@ -192,7 +183,7 @@ class LivePage:
         scene, size = self._server.scene, self._size
         scene.set_up_direction('+z')
         camera = self._server.initial_camera
-        self._first = framed(self._radius, Picture())
+        self._first = framed(self._radius, *DESKTOP)
         camera.position, camera.look_at = self._first.position, self._first.look_at
         camera.near = 0.01 * size
         self._square = page_parts.round_length(0.15 * size)
@@ -297,7 +288,8 @@ class LivePage:
 
     def _frame(self, client: Any) -> None:
         """Place a camera that nobody has moved so that the whole workspace is visible."""
-        view = framed(self._radius, Picture.of(client.camera))
+        camera = client.camera
+        view = framed(self._radius, camera.fov, camera.image_width / camera.image_height)
         last = self._views.get(client.client_id)
         moved = last is not None and not (
             self._is_at(client, last) or self._is_at(client, self._first)
@@ -306,7 +298,7 @@ class LivePage:
             return
         self._views[client.client_id] = view
         if not self._is_at(client, view):
-            client.camera.position, client.camera.look_at = view.position, view.look_at
+            camera.position, camera.look_at = view.position, view.look_at
 
     def _is_at(self, client: Any, view: View) -> bool:
         """Return whether a camera is at a view, as near as the drawn arm is thin."""

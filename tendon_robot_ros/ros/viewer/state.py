@@ -125,10 +125,6 @@ class ViewState:
         while now - self.marker_errors[0][0] > STEADY_S:
             self.marker_errors.popleft()
 
-    def set_verdict(self, text: str) -> None:
-        """Set the verdict of a diagnosis, from JSON."""
-        self.verdict = json.loads(text)
-
     def add_investigation(self, text: str) -> None:
         """Append a message of an investigation; a change or posture 1 starts a new one."""
         news = json.loads(text)
