@@ -44,6 +44,15 @@ AGAIN = 'send it again later'  # what a status says that refuses a target for no
 SETTLED = ('reached', 'nearest', 'at_limit')
 LOW, HIGH = 0.1, 5.0  # [N]
 BASE = 'kato_10_1_base'
+OWN_EFFECT = """
+from tendon_robot_ros.effects.effect import Effect, Parameter
+
+def law(stiffness, tendons, change):
+    return stiffness * (1.0 + change)
+
+EFFECT = Effect('own', 'stiffness', 'stiffness', (Parameter('change', '1', -0.5, 0.5, 0.0, 0.1),),
+                law)
+"""
 
 
 class Station:
@@ -246,10 +255,10 @@ class ForkedNode(NodeProcess):
 def start(name, namespace, output, extra=(), **parameters):
     """Start a node as a process, with patience; its messages go to a file."""
     defaults = {
-        'driver': {'robot': 'kato_10_1', 'config': 'mock_twin'},
-        'controller': {'model': 'kato_10_1'},
+        'driver': {'robot': 'kato_10_1', 'config': 'mock_twin', **PATIENT['driver']},
+        'controller': {'model': 'kato_10_1', **PATIENT['controller']},
     }
-    known = {**defaults[name], **PATIENT[name], **parameters}
+    known = {**defaults.get(name, {}), **parameters}
     with open(output / f'{name}_{time.monotonic_ns()}.log', 'w', encoding='utf-8') as log:
         return ForkedNode(name, known, namespace, log, extra)
 

@@ -38,6 +38,11 @@ def write(servo, name, value):
     return servo.write(register.address, data)
 
 
+def write_all(servo, **registers):
+    for name, value in registers.items():
+        assert write(servo, name, value) == 0, name
+
+
 @pytest.mark.parametrize(
     ('before', 'name', 'value', 'error'),
     [
@@ -63,13 +68,7 @@ def test_a_tripped_watchdog_stops_the_servo_and_locks_the_goals_until_zero_is_wr
     servo = Servo(MODELS['XM430-W350'], 1)
     rig = Rig([servo], [Wire(1, 0.01)], SpringArm(np.array([0.0])))
     goal, aim = ('goal_current', 300) if mode == 0 else ('goal_position', 100_000)
-    for name, value in [
-        ('operating_mode', mode),
-        ('torque_enable', 1),
-        ('bus_watchdog', 5),
-        (goal, aim),
-    ]:
-        assert write(servo, name, value) == 0
+    write_all(servo, operating_mode=mode, torque_enable=1, bus_watchdog=5, **{goal: aim})
     servo.feed_watchdog()
     for _ in range(9):  # a pause of the process would be none of the bus
         rig.advance(0.01)
@@ -81,8 +80,7 @@ def test_a_tripped_watchdog_stops_the_servo_and_locks_the_goals_until_zero_is_wr
     assert servo.get('present_position') == stopped
     assert write(servo, goal, 50) == StatusError.DATA_RANGE
     assert servo.torque
-    assert write(servo, 'bus_watchdog', 0) == 0
-    assert write(servo, goal, aim) == 0
+    write_all(servo, bus_watchdog=0, **{goal: aim})
     servo.feed_watchdog()
     rig.advance(0.05)
     assert servo.motion.speed > 0.0
@@ -113,19 +111,16 @@ def test_torque_comes_on_with_the_power_where_the_startup_configuration_says_so(
 def test_registers_that_steer_motion_do_what_the_manual_says(registers, speed):
     servo = Servo(MODELS['XM430-W350'], 1)
     rig = Rig([servo], [Wire(1, 0.01)], SpringArm(np.array([0.0])))
-    assert write(servo, 'operating_mode', 4) == 0
-    for name, value in {**registers, 'torque_enable': 1, 'goal_position': 4096}.items():
-        assert write(servo, name, value) == 0
+    write_all(servo, operating_mode=4, **registers, torque_enable=1, goal_position=4096)
     rig.advance(0.05)
     assert servo.motion.speed * 60.0 / (2.0 * math.pi) == pytest.approx(speed, rel=0.01)
 
 
 def test_another_operating_mode_resets_gains_profile_and_pwm(servo):
-    for name, value in [('position_p_gain', 7), ('profile_velocity', 5), ('goal_pwm', 9)]:
-        assert write(servo, name, value) == 0
-    assert write(servo, 'operating_mode', 3) == 0  # the same
+    write_all(servo, position_p_gain=7, profile_velocity=5, goal_pwm=9)
+    write_all(servo, operating_mode=3)  # the same
     assert servo.get('position_p_gain') == 7
-    assert write(servo, 'operating_mode', 5) == 0
+    write_all(servo, operating_mode=5)
     found = [servo.get(name) for name in ('position_p_gain', 'profile_velocity', 'goal_pwm')]
     assert found == [GAINS['position_p_gain'], 0, 885]
 
@@ -260,8 +255,7 @@ def test_a_motor_winds_a_spring_as_far_as_its_current_less_friction_and_not_a_st
 ):
     servo = Servo(MODELS['XL330-M077'], 1)
     rig = Rig([servo], [Wire(1, 0.013)], SpringArm(np.array([stiffness]), np.array([0.003])))
-    for name, value in [('operating_mode', 0), ('torque_enable', 1), ('goal_current', 200)]:
-        assert write(servo, name, value) == 0
+    write_all(servo, operating_mode=0, torque_enable=1, goal_current=200)
     torque = 200 * servo.model.current_unit * servo.model.torque_per_ampere
     held, path = (torque - servo.motion.friction) / 0.013, []
     for _ in range(500):
@@ -278,8 +272,7 @@ def two_at_a_limit(shared):
     arm = ElasticArm(lambda tensions: compliance @ tensions, 2, highest=10.0)
     motors = [Servo(MODELS['XL330-M077'], i) for i in (1, 2)]
     for motor in motors:
-        for name, value in [('operating_mode', 5), ('current_limit', 361), ('torque_enable', 1)]:
-            assert write(motor, name, value) == 0
+        write_all(motor, operating_mode=5, current_limit=361, torque_enable=1)
     torque = 361 * motors[0].model.current_unit * motors[0].model.torque_per_ampere
     friction = motors[0].motion.friction
     rig = Rig(motors, [Wire(1, SPOOL), Wire(2, SPOOL)], arm)
@@ -337,7 +330,7 @@ def test_an_arm_that_goes_over_from_one_wire_at_its_limit_to_another_pulls_no_mo
     motors = [Servo(MODELS['XL330-M077'], i + 1) for i in range(6)]
     rig = Rig(motors, [Wire(i + 1, radius) for i in range(6)], arm)
     for motor in motors:
-        assert write(motor, 'operating_mode', 0) == write(motor, 'torque_enable', 1) == 0
+        write_all(motor, operating_mode=0, torque_enable=1)
     model = motors[0].model
     newtons = model.current_unit * model.torque_per_ampere / radius
     most = 0.01 * model.stall_torque / radius  # [N] of drag, at the no-load speed
@@ -363,7 +356,7 @@ def test_on_the_mock_arm_no_wire_pulls_more_than_its_motor_holds_and_all_come_to
     motors = [Servo(MODELS['XL330-M077'], i) for i in (1, 2, 3, 4)]
     rig = Rig(motors, [Wire(i, radius) for i in (1, 2, 3, 4)], arm)
     for motor in motors:
-        assert write(motor, 'operating_mode', 0) == write(motor, 'torque_enable', 1) == 0
+        write_all(motor, operating_mode=0, torque_enable=1)
     newtons = motors[0].model.current_unit * motors[0].model.torque_per_ampere / radius
     band = motors[0].motion.friction / radius
     random, goal = np.random.default_rng(3), np.full(4, 0.1)

@@ -16,13 +16,13 @@ from source_tree import ROOT
 pytest.importorskip('rclpy')
 
 import rclpy
-import ros_station  # noqa: F401  (prepares the environment for rclpy)
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, Quaternion
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from ros_station import OWN_EFFECT
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
@@ -559,21 +559,10 @@ def test_a_file_of_the_tendons_is_refused_whose_way_enters_a_region(tmp_path, mo
     assert len(played) == 2
 
 
-OWN = """
-from tendon_robot_ros.effects.effect import Effect, Parameter
-
-def law(stiffness, tendons, change):
-    return stiffness * (1.0 + change)
-
-EFFECT = Effect('own', 'stiffness', 'stiffness', (Parameter('change', '1', -0.5, 0.5, 0.0, 0.1),),
-                law)
-"""
-
-
 @pytest.mark.ros
 def test_a_path_is_planned_with_the_effects_of_the_controllers_user(tmp_path, monkeypatch):
     path = tmp_path / 'own.py'
-    path.write_text(OWN)
+    path.write_text(OWN_EFFECT)
     # compiling is the business of test_ros_reload.py
     monkeypatch.setattr(robot_client, 'load', lambda robot, catalogue: (robot, catalogue))
     if not rclpy.ok():

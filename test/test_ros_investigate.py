@@ -19,7 +19,7 @@ pytest.importorskip('serial')
 from emulated import ForkedEmulator
 from forked import Forked
 from geometry_msgs.msg import Point, Pose, PoseArray
-from ros_station import PATIENT, ForkedNode, Station
+from ros_station import Station, start
 from watched_arm import coarse
 
 from tendon_robot_ros.common.errors import TendonRobotError
@@ -60,18 +60,14 @@ class Tracked(Station):
         self.node.create_timer(0.04, self.look)
         nodes = {
             'driver': {
-                **PATIENT['driver'], 'robot': described, 'backend': kind,
-                'config': str(self.motors.config), 'command_mode': mode,
+                'robot': described, 'backend': kind, 'config': str(self.motors.config),
+                'command_mode': mode,
             },
-            'controller': {
-                **PATIENT['controller'], 'model': described, 'command_mode': mode,
-                'state_timeout': 5.0,
-            },
+            'controller': {'model': described, 'command_mode': mode, 'state_timeout': 5.0},
             'monitor': {'folder': str(folder / 'recordings'), 'path': 'from_straight'},
         }  # fmt: skip
-        self.log = stack.enter_context((folder / 'nodes.log').open('w'))
         for name, parameters in nodes.items():
-            stack.enter_context(ForkedNode(name, parameters, self.namespace, self.log))
+            stack.enter_context(start(name, self.namespace, folder, **parameters))
 
     def look(self):
         """Publish what a tracker sees."""

@@ -16,7 +16,7 @@ pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticStatus
 from forked import Forked
 from geometry_msgs.msg import WrenchStamped
-from ros_station import LATCHED, PATIENT, ForkedNode, Station, last, values
+from ros_station import LATCHED, Station, last, start, values
 from std_msgs.msg import Float64, Float64MultiArray, String
 from visualization_msgs.msg import Marker, MarkerArray
 from watched_arm import coarse
@@ -100,19 +100,17 @@ class Watched(Station):
     def run(self, name, **more):
         parameters = {
             'driver': {
-                **PATIENT['driver'],
                 'robot': dump_robot(SOFT),
                 'config': f'plant: {{twin: true}}\n{TRACKER}\n',
             },
-            'controller': {**PATIENT['controller'], 'model': 'kato_10_1'},
+            'controller': {},
             'monitor': {
                 'folder': str(self.folder / 'recordings'),
                 'path': 'from_straight',
                 'force_rate': 5.0,
             },
         }[name] | more
-        with (self.folder / f'{name}.log').open('a') as log:
-            self.started.append(ForkedNode(name, parameters, self.namespace, log))
+        self.started.append(start(name, self.namespace, self.folder, **parameters))
         return self.started[-1]
 
     def watched(self):

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from ros_station import Station, last, stamp, start, values
+from ros_station import OWN_EFFECT, Station, last, stamp, start, values
 
 from tendon_robot_ros.robot import dump_robot, load_robot
 from tendon_robot_ros.ros.shared.robot_client import Pilot
@@ -13,20 +13,10 @@ from tendon_robot_ros.ros.shared.runtime import Ending
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
-EFFECT = """
-from tendon_robot_ros.effects.effect import Effect, Parameter
-
-def law(stiffness, tendons, change):
-    return stiffness * (1.0 + change)
-
-EFFECT = Effect('own', 'stiffness', 'stiffness', (Parameter('change', '1', -0.5, 0.5, 0.0, 0.1),),
-                law)
-"""
-
 
 def test_an_effect_of_the_users_own_is_loaded_while_the_arm_is_held(tmp_path, monkeypatch):
     path = tmp_path / 'own.py'
-    path.write_text(EFFECT)
+    path.write_text(OWN_EFFECT)
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'cache'))  # everything is cold
     with start('driver', '/reload', tmp_path), start('controller', '/reload', tmp_path):
         station = Station('/reload')

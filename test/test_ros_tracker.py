@@ -7,7 +7,7 @@ pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseArray, PoseStamped
-from ros_station import INPUTS, LATCHED, ForkedNode, Station, last, start, values
+from ros_station import INPUTS, LATCHED, Station, last, start, values
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.model.model import Model
@@ -28,13 +28,11 @@ class Tracked(Station):
         super().__init__(f'/{name}')
         self.monitor = self.hear(DiagnosticStatus, 'monitor/status', LATCHED)
         self.measured = self.hear(PoseArray, 'monitor/measured')
-        self.log = (folder / 'monitor.log').open('w')
         known = {'model': 'kato_10_1', 'markers': MARKERS, 'folder': str(folder), **parameters}
-        self.process = ForkedNode('monitor', known, f'/{name}', self.log)
+        self.process = start('monitor', f'/{name}', folder, **known)
 
     def end(self):
         self.process.end()
-        self.log.close()
         self.close()
 
     def feed(self, condition, what, old=0.0, frame='kato_10_1_base', **poses):

@@ -48,11 +48,19 @@ def context():
     rclpy.try_shutdown()
 
 
-def test_commands_and_stops_reach_the_motors_while_no_callback_is_served(context):
-    """The main thread here never spins: as if a callback took for ever."""
+@pytest.fixture
+def driver(context):
+    """Give a driver that nobody spins: as if a callback took for ever."""
     parameters = ['robot:=kato_10_1', 'config:=mock_twin', 'rate_limit:=1000.0']
     context('--ros-args', '-r', '__ns:=/busy', *(w for p in parameters for w in ('-p', p)))
-    driver, sender = DriverNode(), Node('sender', namespace='/busy')
+    node = DriverNode()
+    yield node
+    node.end()
+    node.destroy_node()
+
+
+def test_commands_and_stops_reach_the_motors_while_no_callback_is_served(driver):
+    sender = Node('sender', namespace='/busy')
     commands = sender.create_publisher(JointState, 'tendon_command', COMMAND)
     stops = sender.create_publisher(Bool, 'stop', LATCHED)
     try:
@@ -68,8 +76,6 @@ def test_commands_and_stops_reach_the_motors_while_no_callback_is_served(context
         stops.publish(Bool(data=True))
         processes.until(lambda: driver.loop.supervisor.latch, 'the stop')
     finally:
-        driver.end()
-        driver.destroy_node()
         sender.destroy_node()
 
 
@@ -129,9 +135,8 @@ def test_a_signal_ends_a_computation_and_not_what_then_lets_the_arm_go(work, doe
     assert done == does
 
 
-def test_the_service_stop_answers_while_no_callback_is_served(context):
-    context('--ros-args', '-r', '__ns:=/busy', '-p', 'robot:=kato_10_1', '-p', 'config:=mock_twin')
-    driver, person = DriverNode(), Node('person', namespace='/busy')
+def test_the_service_stop_answers_while_no_callback_is_served(driver):
+    person = Node('person', namespace='/busy')
     client, executor = person.create_client(Trigger, 'driver/stop'), SingleThreadedExecutor()
     executor.add_node(person)
     try:
@@ -145,8 +150,6 @@ def test_the_service_stop_answers_while_no_callback_is_served(context):
         driver.end()
         assert driver.latch.reasons == ['stop was called'], 'of closed motors nothing else'
     finally:
-        driver.end()
-        driver.destroy_node()
         person.destroy_node()
 
 
