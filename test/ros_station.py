@@ -280,11 +280,15 @@ def alone(space, logs):
 
 
 @contextlib.contextmanager
-def holding(space, logs):
-    """Start a driver and a controller, and wait until the arm holds; a station beside them."""
-    with start('driver', space, logs), start('controller', space, logs):
+def holding(space, logs, timeout=120.0, driver=(), controller=()):
+    """Start both nodes with parameters, and wait until the arm holds; a station beside them."""
+    with (
+        start('driver', space, logs, **dict(driver)),
+        start('controller', space, logs, **dict(controller)) as running,
+    ):
         station = Station(space)
-        station.until_code(station.controller, 'holding', timeout=120.0)  # compiles when cold
+        station.controlling = running
+        station.until_code(station.controller, 'holding', timeout=timeout)  # compiles when cold
         station.until_code(station.driver, 'following', 'released')
         with contextlib.closing(station):
             yield station

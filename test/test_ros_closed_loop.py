@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from ros_station import Station, last, start, values
+from ros_station import holding, last, values
 
 pytestmark = pytest.mark.ros
 
@@ -14,12 +14,8 @@ def test_the_tip_of_an_arm_unlike_the_model_is_brought_to_the_target(tmp_path):
     hidden = (
         '{plant: {refine: 1, scatter: 0.0, hidden: {backbone_stiffness: {relative_change: 0.1}}}}'
     )
-    with (
-        start('driver', '/loop', tmp_path, config=hidden),
-        start('controller', '/loop', tmp_path, tip_gain=2.0),
-    ):
-        station = Station('/loop')
-        station.until_code(station.controller, 'holding', timeout=120.0)
+    nodes = {'driver': {'config': hidden}, 'controller': {'tip_gain': 2.0}}
+    with holding('/loop', tmp_path, **nodes) as station:
         target = np.array([0.06, 0.0, 0.17])
         station.go_to_point(0.06, 0.17)
         station.until(lambda: np.linalg.norm(station.tip() - target) < 2e-4, 'the target')
@@ -28,4 +24,3 @@ def test_the_tip_of_an_arm_unlike_the_model_is_brought_to_the_target(tmp_path):
             lambda: float(values(last(station.controller))['measured_error (m)']) < 2e-4,
             'the status to say so',
         )
-        station.close()

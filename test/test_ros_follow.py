@@ -9,7 +9,7 @@ pytest.importorskip('rclpy')
 from documents import environment
 from forked import Forked
 from plain import plain_numbers
-from ros_station import INPUTS, Station, last, start, values
+from ros_station import INPUTS, holding, last, values
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 pytestmark = [pytest.mark.ros, pytest.mark.long]
@@ -24,15 +24,8 @@ time,x,y,z
 
 @pytest.fixture(scope='module')
 def station(tmp_path_factory):
-    logs = tmp_path_factory.mktemp('logs')
-    with (
-        start('driver', SPACE, logs),
-        start('controller', SPACE, logs),
-    ):
-        station = Station(SPACE)
-        station.until_code(station.controller, 'holding', timeout=120.0)
+    with holding(SPACE, tmp_path_factory.mktemp('logs')) as station:
         yield station
-        station.close()
 
 
 def command(station, folder, *arguments):

@@ -17,7 +17,7 @@ pytest.importorskip('rosbags')
 from builtin_interfaces.msg import Duration
 from forked import Forked
 from geometry_msgs.msg import TransformStamped
-from ros_station import INPUTS, PATIENT, Station, last, stamp, start
+from ros_station import INPUTS, PATIENT, holding, last, stamp
 from rosbags.highlevel import AnyReader
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from watched_arm import coarse
@@ -43,12 +43,7 @@ def station(tmp_path_factory):
     stiff = ROBOT.with_effect(*HIDDEN)
     config = 'plant: {twin: true}\ntracker: {noise: 0.0002}\nlag: 0.02'
     driver = {'robot': dump_robot(stiff), 'config': config}
-    with (
-        start('driver', SPACE, logs, **driver),
-        start('controller', SPACE, logs, model=dump_robot(ROBOT)),
-    ):
-        station = Station(SPACE)
-        station.until_code(station.controller, 'holding', timeout=120.0)
+    with holding(SPACE, logs, driver=driver, controller={'model': dump_robot(ROBOT)}) as station:
         station.go_to_point(0.0, 0.2)  # from now on its targets are a topic
         # of a type that the wheels of rclpy have: they have no tf2_msgs
         for topic, qos in (('/tf', COMMAND), ('/tf_static', LATCHED)):
@@ -56,7 +51,6 @@ def station(tmp_path_factory):
             station._publishers[key] = station.node.create_publisher(TransformStamped, topic, qos)
             station._publishers[key].publish(TransformStamped())
         yield station
-        station.close()
 
 
 def begin(folder, *arguments):

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from ros_station import OWN_EFFECT, Station, last, stamp, start, values
+from ros_station import OWN_EFFECT, holding, last, stamp, values
 
 from tendon_robot_ros.robot import dump_robot, load_robot
 from tendon_robot_ros.ros.shared.robot_client import Pilot
@@ -18,9 +18,7 @@ def test_an_effect_of_the_users_own_is_loaded_while_the_arm_is_held(tmp_path, mo
     path = tmp_path / 'own.py'
     path.write_text(OWN_EFFECT)
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'cache'))  # everything is cold
-    with start('driver', '/reload', tmp_path), start('controller', '/reload', tmp_path):
-        station = Station('/reload')
-        station.until_code(station.controller, 'holding', timeout=300.0)
+    with holding('/reload', tmp_path, 300.0) as station:
         station.go_to_point(0.06, 0.17)
         assert station.set('controller', 'effects', [str(path)]).successful
         station.commands.clear()
@@ -34,7 +32,6 @@ def test_an_effect_of_the_users_own_is_loaded_while_the_arm_is_held(tmp_path, mo
         pilot = Pilot('pilot', Ending(), namespace='/reload')
         assert pilot.model().acts('own')  # the controller's own effects, too
         pilot.destroy_node()
-        station.close()
     # linking the machine code holds Python for about 0.1 s in one piece: a release may just begin
     assert {values(said)['code'] for _, said in station.driver} <= {'following', 'releasing'}
     assert np.diff([stamp(message) for _, message in station.commands]).max() < 0.2  # [s]

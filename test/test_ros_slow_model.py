@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from ros_station import Station, point, stamp, start, values
+from ros_station import holding, point, stamp, values
 
 from tendon_robot_ros.robot import dump_robot, load_robot
 
@@ -40,12 +40,8 @@ def test_commands_stops_and_the_end_do_not_wait_for_the_model(tmp_path):
     path = tmp_path / 'slow.py'
     path.write_text(SLOW)
     robot = dump_robot(load_robot('kato_10_1').with_effect('slow', {'turns': TURNS}))
-    station = Station(SPACE)
-    with (
-        start('driver', SPACE, tmp_path),
-        start('controller', SPACE, tmp_path, model=robot, effects=[str(path)]) as controller,
-    ):
-        station.until_code(station.controller, 'holding', timeout=400.0)
+    slow = {'model': robot, 'effects': [str(path)]}
+    with holding(SPACE, tmp_path, 400.0, controller=slow) as station:
         station.commands.clear()
         station.controller.clear()
         for x in np.linspace(0.05, 0.28, 6):  # the last ones are out of reach: a long search
@@ -62,9 +58,8 @@ def test_commands_stops_and_the_end_do_not_wait_for_the_model(tmp_path):
         station.send('controller/target_point', point(0.2, 0.2))
         station.until_code(station.controller, 'searching')
         sent = station.now()
-        controller.process.send_signal(signal.SIGINT)
+        station.controlling.process.send_signal(signal.SIGINT)
         station.until(lambda: lets_go(station, sent), 'the word that lets go')
         assert stamp(lets_go(station, sent)[0]) - sent < ANSWERED_S
-        station.until(lambda: controller.process.poll() is not None, 'its end')
-        assert controller.process.returncode == 0
-    station.close()
+        station.until(lambda: station.controlling.process.poll() is not None, 'its end')
+        assert station.controlling.process.returncode == 0

@@ -9,7 +9,7 @@ from source_tree import ROOT
 pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import TwistStamped
-from ros_station import DISCOVERY, Station, start
+from ros_station import DISCOVERY, holding
 from sensor_msgs.msg import Joy
 
 # README of teleop_twist_joy 2.6; axis_... and scale_... hold x, y, z or roll, pitch, yaw
@@ -56,14 +56,8 @@ def test_every_parameter_is_one_of_teleop_twist_joy(name):
 @pytest.fixture(scope='module')
 def station(tmp_path_factory):
     logs = tmp_path_factory.mktemp('logs')
-    with (
-        start('driver', SPACE, logs),
-        start('controller', SPACE, logs, twist_timeout=0.3),
-    ):
-        station = Station(SPACE)
-        station.until_code(station.controller, 'holding', timeout=120.0)
+    with holding(SPACE, logs, controller={'twist_timeout': 0.3}) as station:
         yield station
-        station.close()
 
 
 @pytest.mark.ros

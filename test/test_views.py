@@ -14,7 +14,7 @@ pytest.importorskip('rclpy')
 from builtin_interfaces.msg import Time
 from control_rig import ROBOTS
 from geometry_msgs.msg import PoseArray
-from ros_station import ForkedNode, Station, last, start
+from ros_station import ForkedNode, holding, last
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -58,21 +58,16 @@ def foxglove_paths():
 @pytest.fixture(scope='module')
 def running(tmp_path_factory):
     logs = tmp_path_factory.mktemp('logs')
-    patient = {'command_timeout': 0.5}, {'state_timeout': 1.0}
     with (
-        start('driver', SPACE, logs, **patient[0]),
-        start('controller', SPACE, logs, **patient[1]),
+        holding(SPACE, logs) as station,
         ForkedNode('robot-model', {}, SPACE),
         ForkedNode('monitor', {'folder': str(logs), 'force_rate': 5.0}, SPACE),
     ):
-        station = Station(SPACE)
         station.described = station.hear(String, 'robot_description', LATCHED)
         station.joints = station.hear(JointState, 'cell_joint_states')
         station.shapes = station.hear(PoseArray, 'controller/predicted_shape')
-        station.until_code(station.controller, 'holding', timeout=120.0)
         station.until(lambda: station.described and station.joints, 'the model', 60.0)
         yield station
-        station.close()
 
 
 def known(station, wanted):
