@@ -28,7 +28,7 @@ EFFECT = Effect('slow', 'stiffness', 'stiffness',
                 (Parameter('turns', '1', 0.0, 1e7, 0.0, 1e3),), law)
 """
 ANSWERED_S = 1.0  # [s] in which a signal is answered
-TURNS = 2_000.0  # some 20 µs for every cell and evaluation: a search takes a second
+TURNS = 10_000.0  # some 100 µs for every cell and evaluation: each search takes a second
 
 
 def lets_go(station, since):
