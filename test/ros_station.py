@@ -197,6 +197,21 @@ class Station:
         request = GetParameters.Request(names=[name])
         return self.call(GetParameters, f'{node}/get_parameters', request).values[0].string_value
 
+    def begin(self, folder, *arguments):
+        """Start a command of the package in the namespace."""
+        return Forked(
+            [*arguments, '--ros-args', '-r', f'__ns:={self.namespace}'],
+            cwd=folder,
+            stdout=processes.PIPE,
+            stderr=processes.PIPE,
+        )
+
+    def finish(self, process, timeout=300.0):
+        """Listen until a command has ended; return its code and what it printed."""
+        self.until(lambda: process.poll() is not None, f'the end of {process.args[0]}', timeout)
+        said = process.communicate()
+        return processes.CompletedProcess(process.args, process.returncode, *said)
+
     def go_to_point(self, x, z):
         self.go(point(x, z), 'controller/target_point')
 

@@ -30,14 +30,7 @@ def station(tmp_path_factory):
 
 def command(station, folder, *arguments):
     """Run a command while the station listens."""
-    process = Forked(
-        [*arguments, '--ros-args', '-r', f'__ns:={SPACE}'],
-        cwd=folder,
-        stdout=processes.PIPE,
-        stderr=processes.PIPE,
-    )
-    station.until(lambda: process.poll() is not None, 'the end of the command', 90.0)
-    return processes.CompletedProcess(arguments, process.returncode, *process.communicate())
+    return station.finish(station.begin(folder, *arguments), 90.0)
 
 
 def commanded(station):

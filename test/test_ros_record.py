@@ -53,20 +53,6 @@ def station(tmp_path_factory):
         yield station
 
 
-def begin(folder, *arguments):
-    return Forked(
-        [*arguments, '--ros-args', '-r', f'__ns:={SPACE}'],
-        cwd=folder,
-        stdout=processes.PIPE,
-        stderr=processes.PIPE,
-    )
-
-
-def finish(station, process, timeout=300.0):
-    station.until(lambda: process.poll() is not None, f'the end of {process.args[0]}', timeout)
-    return processes.CompletedProcess(process.args, process.returncode, *process.communicate())
-
-
 def listeners(station):
     names = ['tendon_states', 'tendon_command', 'measured_tip', 'measured_shape']
     names += ['controller/status', 'controller/target_point', *OF_ALL]
@@ -76,13 +62,13 @@ def listeners(station):
 def recorded(station, folder, name, act):
     """Record while something happens."""
     before = listeners(station)
-    process = begin(folder, 'record', name)
+    process = station.begin(folder, 'record', name)
     assert process.stdout.readline() == f'recording to {name}; Ctrl-C ends\n'
     station.until(lambda: (listeners(station) > before).all(), 'the recorder at every topic')
     act()
     station.spin(0.5)
     process.send_signal(signal.SIGINT)
-    return finish(station, process)
+    return station.finish(process)
 
 
 def tour():
@@ -210,7 +196,7 @@ def test_its_commands_are_replayed(station, short):
     folder, ended = short
     station.go_to_point(0.0, 0.2)
     assert list(last(station.commands).effort) != pytest.approx(ended, abs=1e-2)
-    done = finish(station, begin(folder, 'follow', 'targets', '--commands'))
+    done = station.finish(station.begin(folder, 'follow', 'targets', '--commands'))
     assert (done.returncode, done.stderr) == (0, '')
     station.spin(0.2)
     assert list(last(station.commands).effort) == pytest.approx(ended, abs=1e-6)
@@ -220,7 +206,7 @@ def test_its_targets_are_replayed(station, short):
     folder, _ = short
     station.go_to_point(0.0, 0.2)
     began = time.monotonic()
-    done = finish(station, begin(folder, 'follow', 'targets'))
+    done = station.finish(station.begin(folder, 'follow', 'targets'))
     assert (done.returncode, done.stderr) == (0, '')
     assert '60.0, 0.0, 170.0' in done.stdout
     assert '-50.0, 0.0, 180.0' in done.stdout
@@ -232,7 +218,7 @@ def test_its_targets_are_replayed(station, short):
 
 
 def test_a_recording_that_is_not_there_is_said(station, tmp_path):
-    done = finish(station, begin(tmp_path, 'follow', 'targets.mcap', '--picture', 'a.png'))
+    done = station.finish(station.begin(tmp_path, 'follow', 'targets.mcap', '--picture', 'a.png'))
     assert done.returncode == 1
     assert 'targets.mcap: is not there' in done.stderr
 
