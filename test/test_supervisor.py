@@ -1,6 +1,7 @@
 """Whatever comes in, what reaches the motors stays within limits and rates, and ends safe."""
 
 import contextlib
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -227,6 +228,22 @@ def test_a_stop_of_another_thread_during_a_reset_is_kept(lasting):
     with pytest.raises(DriverError) if lasting else contextlib.nullcontext():
         latch.reset()
     assert 'topic' in latch.keys
+
+
+def test_the_same_stop_of_another_thread_during_a_reset_is_kept():
+    latch, again = StopLatch(), threading.Thread(target=lambda: latch.stop('button', 'once more'))
+    latch.stop('button', 'stop was called')
+
+    class Lasting(set):
+        def __bool__(self):  # asked in the middle of the reset
+            again.start()
+            again.join(0.1)
+            return False
+
+    latch._lasting = Lasting()
+    latch.reset()
+    again.join()
+    assert latch.reasons == ['once more']
 
 
 def test_a_stop_latches_and_reset_waits_for_a_new_command():

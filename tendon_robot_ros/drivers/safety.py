@@ -11,6 +11,7 @@ After any release, commands are followed again only after `resume` (the sender h
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from itertools import compress
 from typing import NamedTuple
@@ -72,6 +73,7 @@ class StopLatch:
         """Start without a stop."""
         self._latched: dict[str, str] = {}
         self._lasting: set[str] = set()
+        self._lock = threading.RLock()  # a stop may come in a signal, in the middle of `reset`
 
     def __bool__(self) -> bool:
         """Whether there is a stop."""
@@ -89,9 +91,10 @@ class StopLatch:
 
     def stop(self, key: str, reason: str, lasting: bool = False) -> None:
         """Latch a stop; while its cause is lasting, `reset` is refused."""
-        if lasting:
-            self._lasting.add(key)
-        self._latched[key] = reason  # last, so that `reset` does not clear it as one that ended
+        with self._lock:
+            if lasting:
+                self._lasting.add(key)
+            self._latched[key] = reason  # last, so that `reset` does not clear it as ended
 
     def cause_removed(self, key: str) -> None:
         """Note that the cause of a stop is removed; the stop stays latched until `reset`."""
@@ -112,12 +115,13 @@ class StopLatch:
             A cause is still there.
 
         """
-        latched = list(self._latched.items())  # another thread may latch more meanwhile
-        if self._lasting:
-            reasons = [reason for key, reason in latched if key in self._lasting]
-            raise DriverError('reset refused: ' + '; '.join(reasons))
-        for key, _ in latched:
-            self._latched.pop(key, None)
+        with self._lock:
+            latched = list(self._latched.items())  # a signal may latch more meanwhile
+            if self._lasting:
+                reasons = [reason for key, reason in latched if key in self._lasting]
+                raise DriverError('reset refused: ' + '; '.join(reasons))
+            for key, _ in latched:
+                self._latched.pop(key, None)
 
 
 @dataclass(frozen=True)
