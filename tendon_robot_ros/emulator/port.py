@@ -51,7 +51,7 @@ class Plug(abc.ABC):
     delay : float
         Before every answer [s].
     slept : float
-        All delays so far, and the one that has begun [s].
+        All delays so far [s].
     help : str
         Its commands, for a person.
 
@@ -209,9 +209,11 @@ class Plug(abc.ABC):
         """Send an answer with the present faults."""
         if not answer:
             return
-        if self.delay:
-            self.slept += self.delay
-            time.sleep(self.delay)
+        late = self.delay
+        while late > 0.0:  # in parts, because others wait by the time that it has lived
+            part = min(late, self._idle)
+            time.sleep(part)
+            self.slept, late = self.slept + part, late - part
         if self.spoilt:
             self.spoilt -= 1
             answer = answer[:-1] + bytes([answer[-1] ^ 0x5A])
