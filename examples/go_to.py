@@ -32,6 +32,10 @@ while not (targets.get_subscription_count() and predicted):  # discovery takes a
     if time.monotonic() > deadline:
         sys.exit('no controller that hears a driver within 10 s; are the nodes running?')
 
+listened = time.monotonic() + 5.0  # a tracker may be discovered later than the controller
+while not tips and time.monotonic() < listened:
+    rclpy.spin_once(node, timeout_sec=0.1)
+
 target = PointStamped()
 target.header.frame_id = f'{robot}_base'  # a stamp of zero means now
 target.point.x, target.point.z = x, z

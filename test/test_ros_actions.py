@@ -61,6 +61,7 @@ class Bench:
 
     def __init__(self):
         self.node, self.rig = Node('controller', namespace='/actions'), Rig(rate_limit=50.0)
+        self.rig.run(0.1)  # a driver is heard
         self.actions = actions.Actions(self.node)
         incoming = SimpleNamespace(base=BASE)
         self.active = True
