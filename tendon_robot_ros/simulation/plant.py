@@ -162,9 +162,12 @@ class PlantShape(Shape):
 
     def markers(self, arc_length: Floats, offset: Floats) -> Floats:
         """Place markers (j, 3) [m] in the tracker's frame."""
-        placed = self.batch.markers(arc_length, offset)
-        observed: Floats = self.plant.tracked(placed, self.command[None], self.displacement)[0]
-        return observed
+        return self.tracked(self.batch.markers(arc_length, offset)[0])
+
+    def tracked(self, points: Floats) -> Floats:
+        """Move points (j, 3) [m] of the arm into the tracker's frame."""
+        seen = self.plant.tracked(points[None], self.command[None], self.displacement)
+        return np.asarray(seen[0])
 
 
 class Plant:

@@ -86,10 +86,9 @@ class MockTracker:
         n = len(self._arc_lengths)
         points = arm.markers(self._arc_lengths, np.zeros((n, 3)))  # in the frame of the tracker
         tip = arm.tip_position
-        ahead = np.stack([tip, tip + arm.tip_direction])
         # the frame of the tracker may be rotated
-        ahead = self._driver.plant.tracked(ahead[None], arm.inputs[None])[0]
-        along = ahead[1] - ahead[0]
+        seen = arm.tracked(np.stack([tip, tip + arm.tip_direction]))
+        along = seen[1] - seen[0]
         positions = points + self._random.normal(0.0, self._config['noise'], (n, 3))
         positions[self._random.random(n) < self._config['missing']] = np.nan
         if shape_subscribed:
