@@ -194,7 +194,7 @@ def widest(diagnosis: Diagnosis, catalogue: Catalogue) -> float | None:
     """
     Half of the widest 95 % interval, of the value or of a typical size; None: nothing named.
 
-    Of a component of a force it is a part of the force, wherever the axes point.
+    That of a component of a force counts relative to the size of the force, whatever the axes.
     """
     halves = []
     for effect in diagnosis.effects:
