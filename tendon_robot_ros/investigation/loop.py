@@ -347,7 +347,8 @@ class Investigation:
             if added.helps:
                 write_text(folder / measuring.BETTER, dump_robot(added.robot))
                 written.append(measuring.BETTER)
-                send = f'controller parameter model := {folder / measuring.BETTER}'
+                better = folder / measuring.BETTER
+                send = f'send it to the robot: controller parameter model := {better}'
                 text.append(send)
         if diagnosis is not None and importlib.util.find_spec('plotly') is not None:
             pictures = pictures_of(diagnosis, self.dataset, self.catalogue, added)
