@@ -22,7 +22,6 @@ pytest.importorskip('dynamixel_sdk')
 from tendon_robot_ros.drivers.dynamixel import motions
 from tendon_robot_ros.drivers.dynamixel.bus import Bus
 from tendon_robot_ros.drivers.dynamixel.servos import SETTINGS
-from tendon_robot_ros.drivers.serial_port import ANSWER_TIMEOUT_S
 from tendon_robot_ros.emulator.bus import status
 
 # what another program may leave; nothing of it may steer the arm
@@ -269,7 +268,7 @@ def test_a_late_answer_is_no_second_talker():
     with emulated.line() as line:
         bus = Bus(line.port, 1_000_000, 0.01)
         bus.open()
-        line.delay = 0.5 * ANSWER_TIMEOUT_S
+        line.delay = 2.0 * bus.answer_time  # two answers, one after the other
         bus.ping(1)
         bus.read(1, 'led')
         assert bus.second_talker() == ''

@@ -38,7 +38,7 @@ from tendon_robot_ros.control import Refusal, loading
 from tendon_robot_ros.control.inputs import direction
 from tendon_robot_ros.control.loading import Loader
 from tendon_robot_ros.data.path_files import TendonRows
-from tendon_robot_ros.drivers.safety import FOLLOWING
+from tendon_robot_ros.drivers.safety import FOLLOWING, Decision
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.paths.path import Pace
 from tendon_robot_ros.robot import load_robot
@@ -335,9 +335,8 @@ def test_an_attempt_to_configure_that_is_refused_starts_no_thread(monkeypatch):
 
 def test_a_refusal_may_end_while_the_driver_says_its_status():
     node = MagicMock()
-    decision = SimpleNamespace(state=FOLLOWING, reasons=())
+    decision = Decision(np.zeros(2), (), FOLLOWING)
     node._cycle = SimpleNamespace(decision=decision, held='', faults=())
-    node.latch.reasons = []
     node._own.others.return_value = node._senders.names.return_value = ''
     refusals = iter([Refusal('stale', 'too old'), None, None])
     # the motor thread takes a good command meanwhile

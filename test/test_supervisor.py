@@ -261,6 +261,23 @@ def test_a_stop_latches_and_reset_waits_for_a_new_command():
     assert decision.command == pytest.approx(command)
 
 
+@pytest.mark.parametrize('seen', [True, False])
+def test_a_stop_is_a_release_even_if_it_is_reset_before_a_cycle_sees_it(seen):
+    """Whose target it was learns of a release by its number, which comes with the stop."""
+    supervisor = started()
+    before, now = run(supervisor, 0.0, 0.1, np.array([3.0, 3.0]))
+    releases = supervisor.releases
+    supervisor.latch.stop('stop', 'somebody stopped it')
+    if seen:
+        before, now = run(supervisor, now, CYCLE)
+        assert before.stopped
+    supervisor.reset()
+    assert supervisor.releases == releases + 1
+    after, _ = run(supervisor, now, 0.05)
+    assert not after.stopped
+    assert after.command == pytest.approx(before.command)
+
+
 def test_reset_is_refused_while_the_cause_lasts():
     supervisor = started()
     supervisor.latch.stop('topic', 'topic stop says true', lasting=True)

@@ -215,6 +215,8 @@ class Decision(NamedTuple):
     current_reduction : float
         Reduction of the motors' current limit after a stop in pull mode: 0 none, 1 to what
         `stop_tension` takes.
+    stopped : bool
+        Whether a stop is latched.
 
     """
 
@@ -224,6 +226,7 @@ class Decision(NamedTuple):
     reasons: tuple[str, ...] = ()
     clipped: tuple[str, ...] = ()
     current_reduction: float = 0.0
+    stopped: bool = False
 
 
 class Supervisor:
@@ -278,6 +281,8 @@ class Supervisor:
             A cause is still there.
 
         """
+        if self.latch:  # no cycle may have seen it
+            self._hold_back('; '.join(self.latch.reasons))
         self.latch.reset()
         self._tripped.clear()
         self._clear_command()
@@ -326,17 +331,18 @@ class Supervisor:
         passed = now - self._now
         passed = min(max(passed, 0.0), CYCLE_MAX_S) if np.isfinite(passed) else 0.0
         self._now = max(now, self._now) if np.isfinite(now) else self._now
-        reasons = self._watch(reading) + self.latch.reasons
-        self._causes = reasons.copy()
+        faults, latched = self._watch(reading), self.latch.reasons
+        stopped, self._causes = bool(latched), list(dict.fromkeys(faults + latched))
         self._accept(command)
+        off, reasons = self.rules.inputs, self._causes.copy()
         if self.state == OFF:
-            return Decision(self._output.copy(), self.rules.inputs, OFF, tuple(reasons))
+            return Decision(self._output.copy(), off, OFF, tuple(reasons), stopped=stopped)
         if self._let_go:
             reasons.append(self._let_go)
         silent = self._now - self._requested_at > self.rules.command_timeout
         if silent and not self._let_go:
             reasons.append(f'no command for {self.rules.command_timeout:g} s')
-        causes = tuple(dict.fromkeys(reasons))
+        causes = tuple(reasons)
         if (self._causes or self._let_go) or (silent and self._requested is not None):
             self._hold_back('; '.join(causes))
         if causes:
@@ -353,10 +359,9 @@ class Supervisor:
             goal = self._output if self._requested is None else self._requested
             self._move(goal, self.rules.rates, passed, reading)
         limp = self.state == LIMP
-        off = tuple(name for name in self.rules.inputs if limp or name in self._tripped)
-        return Decision(
-            self._output.copy(), off, self.state, causes, self._clipped, self._reduction
-        )
+        off = tuple(name for name in off if limp or name in self._tripped)
+        state, reduction = self.state, self._reduction
+        return Decision(self._output.copy(), off, state, causes, self._clipped, reduction, stopped)
 
     def _accept(self, command: Floats | None) -> None:
         """Accept a command, clipped to the limits; of a released arm only note its time."""

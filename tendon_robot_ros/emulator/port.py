@@ -209,11 +209,11 @@ class Plug(abc.ABC):
         """Send an answer with the present faults."""
         if not answer:
             return
-        late = self.delay
-        while late > 0.0:  # in parts, because others wait by the time that it has lived
+        end = time.monotonic() + self.delay
+        while (late := end - time.monotonic()) > 0.0:  # in parts: others wait by its own time
             part = min(late, self._idle)
             time.sleep(part)
-            self.slept, late = self.slept + part, late - part
+            self.slept += part
         if self.spoilt:
             self.spoilt -= 1
             answer = answer[:-1] + bytes([answer[-1] ^ 0x5A])

@@ -172,8 +172,6 @@ class MotorLoop:
     def _cycle(self) -> None:
         began = time.monotonic()
         self._receive()
-        while not self._calls.empty():
-            self._calls.get()()
         command, self._command = self._command, None
         assert self._last is not None
         judged = self._last
@@ -186,6 +184,8 @@ class MotorLoop:
         self._report(
             Cycle(self._last, decision, judged.faults, supervisor.held, supervisor.releases)
         )
+        while not self._calls.empty():  # last: a command that came before a reset moves nothing
+            self._calls.get()()
 
     def _write(self, decision: Decision) -> None:
         tension = self.supervisor.rules.stop_tension or 0.0

@@ -188,12 +188,11 @@ class DriverNode(StoppableNode):
             if self.phase == 'unconfigured' and not self.parameters['autostart']:
                 self.status.publish(WARN, 'unconfigured', 'waits to be configured')
             return
-        decision, latched = cycle.decision, self.latch.reasons  # the latch is newer
-        stopped = bool(latched)
-        state = 'releasing' if stopped and decision.state == FOLLOWING else decision.state
+        decision = cycle.decision
+        state, stopped = decision.state, decision.stopped
         level = ERROR if stopped else OK if state == FOLLOWING else WARN
-        message = '; '.join(dict.fromkeys([STATE_WORDS[state], *decision.reasons, *latched]))
-        if cycle.held and not (decision.reasons or latched):
+        message = '; '.join([STATE_WORDS[state], *decision.reasons])
+        if cycle.held and not decision.reasons:
             message += f' ({cycle.held}); {GO_ON}'
         code = 'stopped' if stopped else state
         if (refusal := self._refusal) is not None:  # read once: the motor thread ends it
