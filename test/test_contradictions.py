@@ -80,9 +80,27 @@ def test_what_is_wrong_in_one_trial_is_found_and_nothing_else(happens, trials, s
         assert set(map(tuple, np.argwhere(off).tolist())) == runs
 
 
-def test_two_against_two_tell_nothing(slopes):
-    moves = noise(np.random.default_rng(2), slopes, 4)
+@pytest.mark.parametrize('seed', range(3))
+def test_two_against_two_tell_nothing(seed, slopes):
+    moves = noise(np.random.default_rng(seed), slopes, 4)
     moves[1, :2] += 0.02
+    readings, trials = contradicted(moves, slopes)
+    assert not readings.any() and not trials.any()
+
+
+@pytest.mark.parametrize('off', [2, 3])
+def test_of_a_marker_of_which_too_few_readings_agree_all_are_left_out(off, slopes):
+    random = np.random.default_rng(off)
+    moves = noise(random, slopes, 4)
+    moves[1, :off, 3] += 30.0 * NOISE * random.normal(size=(off, 3))
+    readings, trials = contradicted(moves, slopes)
+    assert set(map(tuple, np.argwhere(readings).tolist())) == {(1, q, 3) for q in range(4)}
+    assert not trials.any()
+
+
+def test_half_of_the_readings_of_a_marker_against_the_other_half_tell_nothing(slopes):
+    moves = noise(np.random.default_rng(5), slopes, 8)
+    moves[1, ::2, 3] += 40.0 * NOISE
     readings, trials = contradicted(moves, slopes)
     assert not readings.any() and not trials.any()
 

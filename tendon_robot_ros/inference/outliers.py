@@ -49,7 +49,9 @@ def contradicted(moves: Floats, slopes: Floats) -> tuple[Bools, Bools]:
     Return which readings (P, Q, J) and trials (P, Q) are contradicted by the other trials.
 
     In every posture the reading, or the trial, that is farthest beyond its limit is removed, and
-    the others are tested again without it, because it biased what was expected of them.
+    the others are tested again without it, because it biased what was expected of them. Where half
+    of the trials are off, or half of the readings of a marker, none of them is left out, because
+    they scatter like that; but all readings of a marker are, where too few agree.
 
     Parameters
     ----------
@@ -81,8 +83,12 @@ def contradicted(moves: Floats, slopes: Floats) -> tuple[Bools, Bools]:
                 trials[p, q] |= out[p, q].sum() > max(0.5 * counts[p, q], 1)  # most of it
             out[p] |= trials[p, :, None]
             stale.append(p)
-    trials &= (trials.sum(axis=1) < 0.5 * runs)[:, None]  # where half is off, all may be
-    out &= (out.sum(axis=1) < 0.5 * visible.sum(axis=1))[:, None]
+    seen, agree = visible.sum(axis=1), (visible & ~out).sum(axis=1)  # (P, J)
+    half = agree <= 0.5 * seen
+    none = half & (agree < TRIALS_MIN) & (seen > 0)
+    none &= (none.sum(axis=1) <= 0.5 * (seen > 0).sum(axis=1))[:, None]  # else it is the trials
+    trials &= (trials.sum(axis=1) < 0.5 * runs)[:, None]
+    out = np.where(half[:, None], none[:, None], out)
     return out & visible & ~trials[..., None], trials
 
 
