@@ -15,7 +15,7 @@ from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
 from ..inference.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point, slope
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import NEAR_SCORE
-from ..inference.statistics import SIGNIFICANCE, chi2_isf, chi2_sf
+from ..inference.statistics import SIGNIFICANCE, chi2_isf
 from .verdict import APART_FROM_SCORE, SAME_ERROR_RATIO
 
 NAMES = ('soft_cell', 'taper', 'gain_per_posture', 'rotation_per_posture')
@@ -28,9 +28,10 @@ class Pattern:
     name: str  # one of `NAMES`
     deviance: float  # chi², of an arm as built with log |V| and priors
     parameters: int
+    markers: Floats  # (P, J, 3) [m] of the model with it, without the imperfections
     cell: int = 0  # 1-based, of a soft cell
     size: float = 0.0  # soft cell: bend over the bend it should have; taper: change tip - base
-    free: int = 1  # parameters of the pattern itself
+    rank: int = 1  # parameters of the pattern itself
     places: int = 1  # number of places that were searched
     values: tuple[float, ...] = ()  # one per posture [1] or [rad]
     alike: tuple[int, ...] = ()  # 1-based cells that explain as much, its own included
@@ -39,10 +40,6 @@ class Pattern:
     def everywhere(self) -> bool:
         """Whether the pattern is the same in every posture."""
         return self.name in NAMES[:2]
-
-    def gain_p_value(self, deviance: float) -> float:
-        """P-value of the gain over a deviance without the pattern, corrected for the places."""
-        return self.places * chi2_sf(max(deviance - self.deviance, 0.0), self.free)
 
     @property
     def score(self) -> float:
@@ -168,7 +165,16 @@ class Patterns:
         alike_below = fit.deviance + chi2_isf(SIGNIFICANCE, 1)
         near = [row for row in fits if _deviance(row) < alike_below]
         alike, place = tuple(sorted(cell + self._first for _, cell in near)), i + self._first
-        return Pattern('soft_cell', fit.deviance, fit.rank + 1, place, size, 1, n, alike=alike)
+        return Pattern(
+            'soft_cell',
+            fit.deviance,
+            fit.rank + 1,
+            fit.markers,
+            place,
+            size,
+            places=n,
+            alike=alike,
+        )
 
     def _moved(self, frees: Sequence[FreeParameter]) -> Iterator[Floats]:
         """Yield derivatives (1, P, J, 3) of the markers by parameters that are zero."""
@@ -190,7 +196,7 @@ class Patterns:
             return None
         slope = fit.values[len(fit.frees) - 1]
         change = float(np.exp(2.0 * slope) - 1.0)
-        return Pattern('taper', fit.deviance, fit.rank, free=2, size=change)
+        return Pattern('taper', fit.deviance, fit.rank, fit.markers, rank=2, size=change)
 
     def _at_best_places(
         self, gains: Sequence[float], frees: Callable[[int], list[FreeParameter]]
@@ -280,7 +286,8 @@ class Patterns:
             'gain_per_posture',
             self.deviance(lambda: self._driven(inputs * gains[:, None])),
             self.extra + len(inputs),
-            free=len(inputs),
+            markers,
+            rank=len(inputs),
             values=tuple((gains - 1.0).tolist()),
         )
 
@@ -305,7 +312,8 @@ class Patterns:
             'rotation_per_posture',
             self.deviance(predict),
             self.extra + int(parameters),
-            free=int(parameters),
+            self.markers + np.cross(by_posture, self.markers),
+            rank=int(parameters),
             values=tuple(angles.tolist()),
         )
 

@@ -212,7 +212,9 @@ class Fits:
         session, base = self.session, self.base
         postures = int((session.dataset.trials > 0).sum())
         rivals = [
-            Rival(p.name, p.score, p.everywhere, p.gain_p_value(base.deviance)) for p in patterns
+            Rival(p.name, p.score, p.everywhere, p.places * chance)
+            for p in patterns
+            for chance in [session.gain_p_value(base, p.deviance, p.markers, p.rank)]
         ]
         placed = self.placed or []
         chances = (gain_p_values(session, one, placed) for one in (base, over))
@@ -285,9 +287,18 @@ def _numbers(ranked: Ranked, gain_p: float = 1.0) -> Hypothesis:
 
 
 def gain_p_values(session: Session, base: Fit, ranked: Sequence[Ranked]) -> list[float]:
-    """Return the p-value of each gain; 1 where it is none on left-out postures."""
+    """
+    Return the p-value of each gain; 1 where it is none on left-out postures.
+
+    Half where the one parameter can only move to one side.
+    """
     held, _ = base.held_out(session.whitener.owners)
-    return [session.gain_p_value(base, r) if r.held_out < held else 1.0 for r in ranked]
+
+    def chance(fit: Fit) -> float:
+        one = session.gain_p_value(base, fit.deviance, fit.markers, max(fit.rank, 1))
+        return 0.5 * one if fit.one_sided else one
+
+    return [chance(r.fit) if r.held_out < held else 1.0 for r in ranked]
 
 
 def gather(question: Question) -> Fits:

@@ -304,8 +304,9 @@ def _best_beyond_chance(rivals: Sequence[Rival]) -> Rival | None:
     force at a free place can imitate a cell that is softer than the others.
     """
     likely = [one for one in rivals if one.gain_p < ALARM_LEVEL]
-    top = min((one.score for one in likely), default=math.inf)
-    near = [one for one in likely if one.score <= top + APART_FROM_SCORE]
+    limit = min((one.score for one in likely), default=-math.inf) + APART_FROM_SCORE
+    patterns = [one for one in rivals if not one.placed and one.gain_p < SIGNIFICANCE]
+    near = [one for one in (*patterns, *likely) if one.score <= limit]
     return min(near, key=lambda one: (one.placed is not None, one.score), default=None)
 
 

@@ -213,18 +213,16 @@ def unloads(dataset: DataSet) -> bool:
     return dataset.path != 'from_straight' and let_go
 
 
-def gain_p_value(base: Fit, fit: Fit, freedom: float = np.inf) -> float:
+def gain_p_value(gain: float, rank: int, freedom: float = np.inf) -> float:
     """
-    Return the p-value of a gain in deviance by the likelihood ratio test; half at a bound.
+    Return the p-value of a gain in deviance by `rank` parameters: the likelihood ratio test.
 
     Of an arm as built by an F distribution: `freedom` deviations determine the spread of the
     change of the fit by chance, which the fit itself may underestimate.
     """
-    gain, rank = base.deviance - fit.deviance, max(fit.rank, 1)
     if gain <= 0.0:
         return 1.0
-    probability = chi2_sf(gain, rank)
-    if freedom < FREEDOM_MANY:
-        ratio = np.expm1(gain / (freedom + rank)) * freedom / rank
-        probability = f_sf(float(ratio), rank, freedom)
-    return 0.5 * probability if fit.one_sided else probability
+    if freedom >= FREEDOM_MANY:
+        return chi2_sf(gain, rank)
+    ratio = np.expm1(gain / (freedom + rank)) * freedom / rank
+    return f_sf(float(ratio), rank, freedom)

@@ -348,11 +348,23 @@ class Session(Question):
         ]
         return tested, [c for c in self.candidates if c not in tested]
 
-    def gain_p_value(self, base: Fit, ranked: Ranked) -> float:
-        """Return the p-value of the gain of a candidate over the base."""
-        shift = self.whitener.white(ranked.fit.markers - base.markers)
+    def gain_p_value(self, base: Fit, deviance: float, markers: Floats, rank: int) -> float:
+        """
+        Return the p-value of a gain in deviance over the base.
+
+        Parameters
+        ----------
+        base : Fit
+        deviance : float
+        markers : (P, J, 3) [m]
+            Of the model that explains more, without the imperfections.
+        rank : int
+            Number of its parameters.
+
+        """
+        shift = self.whitener.white(markers - base.markers)
         freedom = base.built.random.freedom(shift, base.built.sizes)
-        return gain_p_value(base, ranked.fit, freedom)
+        return gain_p_value(base.deviance - deviance, rank, freedom)
 
     def contains(self, large: Ranked, small: Ranked) -> bool:
         """Return whether the larger candidate can imitate the predictions of the smaller one."""
