@@ -1,5 +1,7 @@
 """What the other trials of a posture contradict: as rarely by chance as is said, and found."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from marks import slow
@@ -96,6 +98,22 @@ def test_of_a_marker_of_which_too_few_readings_agree_all_are_left_out(off, slope
     readings, trials = contradicted(moves, slopes)
     assert set(map(tuple, np.argwhere(readings).tolist())) == {(1, q, 3) for q in range(4)}
     assert not trials.any()
+
+
+def test_a_reading_that_inputs_of_its_trial_could_have_moved_is_told_from_the_others(slopes):
+    """Of five markers; where another trial lost one, more could be that trial's inputs."""
+    random, told = np.random.default_rng(0), []
+    for p, i, j in product(range(POSTURES), range(slopes.shape[1]), (8, 9)):
+        if not slopes[p, i, j].any():
+            continue
+        along = slopes[p, i, j] / np.linalg.norm(slopes[p, i, j])
+        aside = np.cross(along, [0.0, 1.0, 0.0])
+        moves = noise(random, slopes, 3)
+        moves[:, :, 3:7] = moves[p, 1, 17 - j] = np.nan
+        moves[p, 0, j] += (40.0 * along + 10.0 * aside) * NOISE
+        readings, trials = contradicted(moves, slopes)
+        told.append(readings[p, 0, j] and readings.sum() == 1 and not trials.any())
+    assert np.mean(told) > {2: 0.8, 3: 0.9}[slopes.shape[1]]
 
 
 def test_half_of_the_readings_of_a_marker_against_the_other_half_tell_nothing(slopes):

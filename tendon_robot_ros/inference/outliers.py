@@ -174,13 +174,18 @@ def trial_residuals(moves: Floats, slopes: Floats) -> _Deviations:
 
 
 def _beyond(residuals: dict[int, _Deviations]) -> tuple[Floats, Floats]:
-    """Return the deviations of readings (P, Q, J) and trials (P, Q), over their chance limits."""
+    """
+    Return the deviations of readings (P, Q, J) and trials (P, Q), over their chance limits.
+
+    A reading that is not beyond its limit if the slopes are wrong counts as if they were.
+    """
     sizes, freedom, surely, moved, strengths = (
         np.stack([getattr(one, field.name) for one in residuals.values()])
         for field in fields(_Deviations)
     )
     sizes = np.maximum(sizes, RESOLUTION)
-    readings = surely * sizes / outlier_limits(sizes, freedom)
+    readings = sizes / outlier_limits(sizes, freedom)
+    readings = np.where(surely * readings > 1.0, readings, surely * readings)
     weights = _weights(moved, strengths, max(_spread(sizes, freedom), RESOLUTION) ** 2)
     many = (strengths > 0.0).sum(axis=2)
     limits = _squared_limits(many) * np.where(many > 0, weights.max(axis=2), 1.0)
