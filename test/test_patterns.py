@@ -7,7 +7,7 @@ import pytest
 import simulated
 from simulated import CATALOGUE, NOISE, measured
 
-from tendon_robot_ros.diagnosis.patterns import Pattern, Patterns
+from tendon_robot_ros.diagnosis.patterns import Pattern, Patterns, independent
 from tendon_robot_ros.inference.session import Question
 
 ROBOT = replace(simulated.robot(), exact=True)  # scatter takes its share of every pattern
@@ -102,6 +102,13 @@ def test_on_clean_data_no_pattern_gains_much():
 def test_a_cell_that_bends_a_little_more_is_not_said_to_bend_as_it_should(ratio, words):
     pattern = Pattern('soft_cell', 0.0, 1, np.zeros((0, 0, 3)), 4, ratio, alike=(4,))
     assert f'cell 4 bends {words} it should.' in pattern.text(())
+
+
+def test_places_that_move_markers_alike_count_as_one():
+    one, other = np.eye(4)[:, :1], np.eye(4)[:, 1:2]
+    assert independent(np.hstack([one, one, one])) == pytest.approx(1.0)
+    assert independent(np.hstack([one, other, np.zeros((4, 1))])) == pytest.approx(2.0)
+    assert independent(np.zeros((4, 2))) == 0.0
 
 
 def test_a_line_that_patterns_are_far_above_changes_nothing_below_it():

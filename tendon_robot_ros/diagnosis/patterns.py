@@ -32,7 +32,7 @@ class Pattern:
     cell: int = 0  # 1-based, of a soft cell
     size: float = 0.0  # soft cell: bend over the bend it should have; taper: change tip - base
     rank: int = 1  # parameters of the pattern itself
-    places: int = 1  # number of places that were searched
+    places: float = 1.0  # independent ones among those that were searched
     values: tuple[float, ...] = ()  # one per posture [1] or [rad]
     alike: tuple[int, ...] = ()  # 1-based cells that explain as much, its own included
 
@@ -156,7 +156,10 @@ class Patterns:
         for k, kind in enumerate(self.fit.built.kinds):
             usual[k] = min(usual[k], kind.plausible) if kind.name == CELLS else usual[k]
         self.fitter.sizes = usual
-        gains = [self._gain(-moves) for moves in self._moved(frees)]
+        white = [self.fitter.whitener.white(moves).T for moves in self._moved(frees)]
+        columns = self.fitter.lift(np.hstack(white))
+        columns = columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
+        gains = ((self.white(self.markers) @ columns) ** 2).tolist()
         fits = self._at_best_places(gains, lambda i: [frees[i]])
         fit, i = min(fits, key=_deviance)
         if fit is None:
@@ -254,12 +257,6 @@ class Patterns:
         finally:
             self.fitter.resume(self.fit)
 
-    def _gain(self, slopes: Floats) -> float:
-        """Return the linearised gain in chi² by changes (q, P, J, 3) of the residual."""
-        white = self.fitter.lift(self.fitter.whitener.white(slopes).T)
-        residual = self.white(self.markers)
-        return float(residual @ white @ np.linalg.lstsq(white, residual, rcond=1e-9)[0])
-
     def gain_per_posture(self) -> Pattern | None:
         """Fit a factor on the inputs in every posture."""
         inputs, markers, r = self.fitter.predictor.inputs, self.markers, self.r
@@ -324,6 +321,12 @@ class Patterns:
             found.append(getattr(self, name)())
             progress('causes outside the catalogue', number, len(NAMES))
         return [pattern for pattern in found if pattern is not None]
+
+
+def independent(columns: Floats) -> float:
+    """Return how many independent tests those of unit columns (N, M) amount to (Galwey 2009)."""
+    strengths = np.linalg.svd(columns, compute_uv=False)
+    return float(strengths.sum() ** 2 / max((strengths**2).sum(), 1.0))
 
 
 def _deviance(row: tuple[Fit | None, int]) -> float:
