@@ -288,11 +288,17 @@ def outside_by_itself(evidence: Evidence) -> Rival | None:
     """
     Return the best pattern whose gain over no effect is significant, if any.
 
-    An effect whose place had to be found is none where single postures determine it.
+    An effect whose place had to be found counts where its gain is significant among all effects,
+    and not where single postures determine it.
     """
-    everywhere = [one for one in known(evidence.patterns, 'patterns') if one.everywhere]
+    trials = len(evidence.singles)
     return _best_beyond_chance(
-        [one for one in everywhere if not one.placed or one.placed.trust > P_SINGLE_MIN]
+        [
+            one
+            for one in known(evidence.patterns, 'patterns')
+            if one.everywhere
+            and (not one.placed or (gains(one.gain_p, trials) and one.placed.trust > P_SINGLE_MIN))
+        ]
     )
 
 
