@@ -7,7 +7,7 @@ import simulated
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.data import join
-from tendon_robot_ros.inference.candidates import why_untested
+from tendon_robot_ros.inference.candidates import gain_p_value, why_untested
 from tendon_robot_ros.inference.session import Question
 
 ROBOT = simulated.robot()
@@ -87,7 +87,7 @@ def test_luck_is_fair_on_clean_data():
         names = {'hinge_friction': one, 'backbone_stiffness': two}
         for ranked in session.fit_all([c for c in session.candidates if c.names[0] in names]):
             fit = ranked.fit
-            chance = session.gain_p_value(base, fit.deviance, fit.markers, 1)
+            chance = gain_p_value(base, session.whitener, fit.deviance, fit.markers, 1)
             level = 0.4 if fit.one_sided else 0.2
             names[ranked.candidate.names[0]].append(chance < level)
     assert 0.05 <= sum(one) / 40 <= 0.38

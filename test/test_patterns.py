@@ -100,7 +100,7 @@ def test_on_clean_data_no_pattern_gains_much():
      (0.5, '0.5 times as much as')],
 )  # fmt: skip
 def test_a_cell_that_bends_a_little_more_is_not_said_to_bend_as_it_should(ratio, words):
-    pattern = Pattern('soft_cell', 0.0, 1, np.zeros((0, 0, 3)), 4, ratio, alike=(4,))
+    pattern = Pattern('soft_cell', 0.0, 1, 1.0, 4, ratio, alike=(4,))
     assert f'cell 4 bends {words} it should.' in pattern.text(())
 
 

@@ -8,7 +8,7 @@ from simulated import CATALOGUE
 from source_tree import ROOT
 
 from tendon_robot_ros.diagnosis.report_rows import arm_report
-from tendon_robot_ros.inference.candidates import gain_p_value
+from tendon_robot_ros.inference.candidates import likelihood_ratio_p_value
 from tendon_robot_ros.inference.fit import Fit, with_imperfections
 from tendon_robot_ros.inference.imperfections import Kind
 from tendon_robot_ros.inference.intervals import SizeIntervals
@@ -119,7 +119,7 @@ def test_chance_pays_an_effect_along_imperfections_no_more_often_than_is_said():
         fit = random.estimate(residual, slopes, base.values)
         shift = np.where(np.arange(12) < 2, residual, 0.0)
         freedoms.append(random.freedom(shift, base.values))
-        chances.append(gain_p_value(base.deviance - fit.deviance, 2, freedoms[-1]))
+        chances.append(likelihood_ratio_p_value(base.deviance - fit.deviance, 2, freedoms[-1]))
     np.testing.assert_allclose(freedoms, 7.0, rtol=5e-3)  # six, and the prior as one more
     for level in (0.05, 0.2):
         assert np.mean(np.array(chances) < level) == pytest.approx(level, rel=0.4)
@@ -174,8 +174,10 @@ def test_noise_alone_is_told_by_many_deviations():
     base = random.estimate(residuals[0], np.zeros((12, 0)))
     beside = np.where(np.arange(12) < 6, 0.0, 1.0)  # no imperfection moves these
     assert random.freedom(beside, base.values) == np.inf
-    assert gain_p_value(9.0, 2) == pytest.approx(np.exp(-4.5))
-    assert gain_p_value(9.0, 2, 7.0) == pytest.approx((1 + 2 / 7 * 3.5 * np.expm1(1.0)) ** -3.5)
+    assert likelihood_ratio_p_value(9.0, 2) == pytest.approx(np.exp(-4.5))
+    assert likelihood_ratio_p_value(9.0, 2, 7.0) == pytest.approx(
+        (1 + 2 / 7 * 3.5 * np.expm1(1.0)) ** -3.5
+    )
 
 
 def test_a_scatter_that_does_not_show_may_be_none():

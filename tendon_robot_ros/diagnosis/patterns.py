@@ -10,6 +10,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import Progress
 from ..effects import Parameter
+from ..inference.candidates import gain_p_value
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX, Fitter
 from ..inference.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point, slope
@@ -28,11 +29,9 @@ class Pattern:
     name: str  # one of `NAMES`
     deviance: float  # chi², of an arm as built with log |V| and priors
     parameters: int
-    markers: Floats  # (P, J, 3) [m] of the model with it, without the imperfections
+    gain_p: float  # p-value of its gain
     cell: int = 0  # 1-based, of a soft cell
     size: float = 0.0  # soft cell: bend over the bend it should have; taper: change tip - base
-    rank: int = 1  # parameters of the pattern itself
-    places: float = 1.0  # independent ones among those that were searched
     values: tuple[float, ...] = ()  # one per posture [1] or [rad]
     alike: tuple[int, ...] = ()  # 1-based cells that explain as much, its own included
 
@@ -168,16 +167,12 @@ class Patterns:
         alike_below = fit.deviance + chi2_isf(SIGNIFICANCE, 1)
         near = [row for row in fits if _deviance(row) < alike_below]
         alike, place = tuple(sorted(cell + self._first for _, cell in near)), i + self._first
-        return Pattern(
-            'soft_cell',
-            fit.deviance,
-            fit.rank + 1,
-            fit.markers,
-            place,
-            size,
-            places=n,
-            alike=alike,
-        )
+        by_chance = independent(columns) * self._chance(self.fit, fit.deviance, fit.markers, 1)
+        parameters = fit.rank + 1
+        return Pattern('soft_cell', fit.deviance, parameters, by_chance, place, size, alike=alike)
+
+    def _chance(self, base: Fit, deviance: float, markers: Floats, rank: int) -> float:
+        return gain_p_value(base, self.fitter.whitener, deviance, markers, rank)
 
     def _moved(self, frees: Sequence[FreeParameter]) -> Iterator[Floats]:
         """Yield derivatives (1, P, J, 3) of the markers by parameters that are zero."""
@@ -191,15 +186,21 @@ class Patterns:
             yield slope(self.markers, moved, step)[None]
 
     def taper(self) -> Pattern | None:
-        """Fit a stiffness that changes linearly from base to tip, mean and slope free."""
+        """
+        Fit a stiffness that changes linearly from base to tip, mean and slope free.
+
+        Its gain is that of the slope: another mean alone is an effect of the catalogue.
+        """
         names = ('mean', 'slope')
         frees = [FreeParameter(TAPER, Parameter(name, '1', -2.0, 2.0, 0.0, 0.1)) for name in names]
-        fit, _ = min(self._at_best_places([0.0], lambda i: frees), key=_deviance)
-        if fit is None:
+        mean = min(self._at_best_places([0.0], lambda i: frees[:1]), key=_deviance)[0]
+        fit = min(self._at_best_places([0.0], lambda i: frees), key=_deviance)[0]
+        if fit is None or mean is None:
             return None
         slope = fit.values[len(fit.frees) - 1]
         change = float(np.exp(2.0 * slope) - 1.0)
-        return Pattern('taper', fit.deviance, fit.rank, fit.markers, rank=2, size=change)
+        by_chance = self._chance(mean, fit.deviance, fit.markers, 1)
+        return Pattern('taper', fit.deviance, fit.rank, by_chance, size=change)
 
     def _at_best_places(
         self, gains: Sequence[float], frees: Callable[[int], list[FreeParameter]]
@@ -279,12 +280,12 @@ class Patterns:
             gains, markers, r = trial, predicted, new
             if gain < 0.1:
                 break
+        deviance = self.deviance(lambda: self._driven(inputs * gains[:, None]))
         return Pattern(
             'gain_per_posture',
-            self.deviance(lambda: self._driven(inputs * gains[:, None])),
+            deviance,
             self.extra + len(inputs),
-            markers,
-            rank=len(inputs),
+            self._chance(self.fit, deviance, markers, len(inputs)),
             values=tuple((gains - 1.0).tolist()),
         )
 
@@ -305,12 +306,12 @@ class Patterns:
             markers = self.fitter.predictor.markers(self.point, near=self.settled)
             return None if markers is None else markers + np.cross(by_posture, markers)
 
+        deviance, turned = self.deviance(predict), np.cross(by_posture, self.markers)
         return Pattern(
             'rotation_per_posture',
-            self.deviance(predict),
+            deviance,
             self.extra + int(parameters),
-            self.markers + np.cross(by_posture, self.markers),
-            rank=int(parameters),
+            self._chance(self.fit, deviance, self.markers + turned, int(parameters)),
             values=tuple(angles.tolist()),
         )
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..effects import Catalogue
-from ..inference.candidates import Candidate, Ranked
+from ..inference.candidates import Candidate, Ranked, gain_p_value
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
 from ..inference.search import DIFFERENCE_STEP, LADDER, sized
@@ -211,11 +211,7 @@ class Fits:
         """
         session, base = self.session, self.base
         postures = int((session.dataset.trials > 0).sum())
-        rivals = [
-            Rival(p.name, p.score, p.everywhere, p.places * chance)
-            for p in patterns
-            for chance in [session.gain_p_value(base, p.deviance, p.markers, p.rank)]
-        ]
+        rivals = [Rival(p.name, p.score, p.everywhere, p.gain_p) for p in patterns]
         placed = self.placed or []
         chances = (gain_p_values(session, one, placed) for one in (base, over))
         for r, by_chance, beside in zip(placed, *chances, strict=True):
@@ -295,8 +291,9 @@ def gain_p_values(session: Session, base: Fit, ranked: Sequence[Ranked]) -> list
     held, _ = base.held_out(session.whitener.owners)
 
     def chance(fit: Fit) -> float:
-        one = session.gain_p_value(base, fit.deviance, fit.markers, max(fit.rank, 1))
-        return 0.5 * one if fit.one_sided else one
+        rank = max(fit.rank, 1)
+        p_value = gain_p_value(base, session.whitener, fit.deviance, fit.markers, rank)
+        return 0.5 * p_value if fit.one_sided else p_value
 
     return [chance(r.fit) if r.held_out < held else 1.0 for r in ranked]
 

@@ -367,7 +367,7 @@ def _without_places(evidence: Evidence) -> Concluded:
     rival = best and _competing(evidence, best.score, best.names)
     if near and not rival and evidence.as_built and not (best and gains(best.gain_p, trials)):
         alone = outside_by_itself(evidence)  # what raised the alarm, the effect would not have
-        if alone is not None and (alone.score < best.score if best else alone.placed):
+        if alone is not None and (best or alone.placed):
             rival = alone
     if rival:
         return _outside(evidence, best, rival)

@@ -213,7 +213,30 @@ def unloads(dataset: DataSet) -> bool:
     return dataset.path != 'from_straight' and let_go
 
 
-def gain_p_value(gain: float, rank: int, freedom: float = np.inf) -> float:
+def gain_p_value(
+    base: Fit, whitener: Whitener, deviance: float, markers: Floats, rank: int
+) -> float:
+    """
+    Return the p-value of a gain in deviance over a fit.
+
+    Parameters
+    ----------
+    base : Fit
+    whitener : Whitener
+    deviance : float
+        Of what explains more.
+    markers : (P, J, 3) [m]
+        Of its model, without the imperfections.
+    rank : int
+        Number of its parameters beyond those of the fit.
+
+    """
+    shift = whitener.white(markers - base.markers)
+    freedom = base.built.random.freedom(shift, base.built.sizes)
+    return likelihood_ratio_p_value(base.deviance - deviance, rank, freedom)
+
+
+def likelihood_ratio_p_value(gain: float, rank: int, freedom: float = np.inf) -> float:
     """
     Return the p-value of a gain in deviance by `rank` parameters: the likelihood ratio test.
 

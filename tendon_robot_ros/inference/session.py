@@ -17,7 +17,7 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
 from ..robot.estimates import natural_sizes
-from .candidates import Candidate, Ranked, candidates_of, gain_p_value, is_tested, nuisances_of
+from .candidates import Candidate, Ranked, candidates_of, is_tested, nuisances_of
 from .fit import Fit, Nuisance
 from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
 from .imperfections import REMAINDER, BuiltPredictor, Imperfections, Members, imperfections
@@ -347,24 +347,6 @@ class Session(Question):
             if markers is not None and is_tested(c, predictor, whitener, point, markers, near)
         ]
         return tested, [c for c in self.candidates if c not in tested]
-
-    def gain_p_value(self, base: Fit, deviance: float, markers: Floats, rank: int) -> float:
-        """
-        Return the p-value of a gain in deviance over the base.
-
-        Parameters
-        ----------
-        base : Fit
-        deviance : float
-        markers : (P, J, 3) [m]
-            Of the model that explains more, without the imperfections.
-        rank : int
-            Number of its parameters.
-
-        """
-        shift = self.whitener.white(markers - base.markers)
-        freedom = base.built.random.freedom(shift, base.built.sizes)
-        return gain_p_value(base.deviance - deviance, rank, freedom)
 
     def contains(self, large: Ranked, small: Ranked) -> bool:
         """Return whether the larger candidate can imitate the predictions of the smaller one."""
