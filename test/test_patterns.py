@@ -54,6 +54,13 @@ def test_a_stiffness_that_changes_along_the_arm_is_a_taper():
     assert taper.size == pytest.approx(1.1 / 0.9 - 1.0, abs=0.05)
     assert taper.score == min(pattern.score for pattern in found.values())
     assert taper.deviance < fit.deviance - 13.0
+    assert taper.gain_p < 1e-9
+
+
+def test_a_stiffness_that_is_another_one_everywhere_is_no_taper():
+    fit, found = patterns_of(measured(damaged(np.full(15, 0.95))))
+    assert found['taper'].deviance < fit.deviance - 100.0
+    assert found['taper'].gain_p > 0.01
 
 
 def test_inputs_that_were_not_what_was_set_are_a_gain_per_posture():
