@@ -15,7 +15,7 @@ from ..robot import Robot
 from .fit import FREEDOM_MANY, Fit, Nuisance
 from .noise import Whitener
 from .predict import FreeParameter, Point, Predictor, SettledShapes, free_parameters
-from .statistics import chi2_sf, f_sf
+from .statistics import beta_cdf, chi2_sf
 
 
 def why_untested(effect: Effect, dataset: DataSet, robot: Robot) -> str:
@@ -247,5 +247,4 @@ def likelihood_ratio_p_value(gain: float, rank: int, freedom: float = np.inf) ->
         return 1.0
     if freedom >= FREEDOM_MANY:
         return chi2_sf(gain, rank)
-    ratio = np.expm1(gain / (freedom + rank)) * freedom / rank
-    return f_sf(float(ratio), rank, freedom)
+    return beta_cdf(np.exp(-gain / (freedom + rank)), 0.5 * freedom, 0.5 * rank)

@@ -58,6 +58,11 @@ def f_sf(x: float, upper: float, lower: float) -> float:
     return float(special.fdtrc(upper, lower, x)) if x > 0.0 and min(upper, lower) > 0.0 else 1.0
 
 
+def beta_cdf(x: float, a: float, b: float) -> float:
+    """Probability that a beta variable is below x: d / (d + r F) for F with (r, d) = 2 (b, a)."""
+    return float(special.betainc(a, b, x))
+
+
 def misfit_p_value(chi2: float, freedom: float, noise_freedom: float) -> float:
     """Probability of a larger chi², the noise in it estimated with some degrees of freedom."""
     if not np.isfinite(noise_freedom):
