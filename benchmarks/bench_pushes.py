@@ -27,7 +27,7 @@ from tendon_robot_ros.diagnosis.result import Diagnosis
 from tendon_robot_ros.diagnosis.select import reweighed
 from tendon_robot_ros.diagnosis.verdict import gains
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.inference.candidates import Candidate
+from tendon_robot_ros.inference.candidates import Candidate, gain_p_value
 from tendon_robot_ros.inference.predict import Predictor, free_parameters
 from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.model.model import Model
@@ -133,7 +133,9 @@ def is_seen(measured: DataSet, robot: Robot, kind: str, true: dict[str, float]) 
     start = {free: true[free.key] for free in every if free.key in true}
     candidate = Candidate((kind,), tuple(start), present=False)
     session, fitted = reweighed(session, session.fit_all([candidate], {kind: start})[0])
-    return gains(session.gain_p_value(session.base_fit(), fitted), len(PLACED))
+    base, fit = session.base_fit(), fitted.fit
+    p_value = gain_p_value(base, session.whitener, fit.deviance, fit.markers, fit.rank)
+    return gains(p_value, len(PLACED))
 
 
 def off(
