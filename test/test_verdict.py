@@ -76,9 +76,10 @@ TABLE = {
     'what raised the alarm explains less than what does not': (
         evidence(replace(HINGE, gain_p=1.0), built=True, probability=0.5,
                  patterns=(replace(CELL, score=NEAR + 1.0),)), 'outside_catalogue', HINGE),
-    'a load at a place gains no more than one of many effects does by chance': (
-        evidence(replace(HINGE, gain_p=1.0), replace(LOAD, gain_p=1.0), built=True,
-                 probability=0.5, patterns=(replace(*at_places(PUSH), gain_p=0.6 * ALARM_LEVEL),)),
+    'a cause gains no more than one of two does by chance': (
+        evidence(replace(HINGE, gain_p=1.0), built=True, probability=0.5,
+                 patterns=(replace(CELL, gain_p=0.6 * ALARM_LEVEL),
+                           replace(*at_places(PUSH), gain_p=0.6 * ALARM_LEVEL))),
         'adequate', None),
     'a pattern explains as much as a load at a place': (
         evidence(replace(HINGE, gain_p=1.0), built=True, probability=0.5,
