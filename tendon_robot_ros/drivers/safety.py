@@ -334,9 +334,9 @@ class Supervisor:
         faults, latched = self._watch(reading), self.latch.reasons
         stopped, self._causes = bool(latched), list(dict.fromkeys(faults + latched))
         self._accept(command)
-        off, reasons = self.rules.inputs, self._causes.copy()
+        inputs, reasons = self.rules.inputs, self._causes.copy()
         if self.state == OFF:
-            return Decision(self._output.copy(), off, OFF, tuple(reasons), stopped=stopped)
+            return Decision(self._output.copy(), inputs, OFF, tuple(reasons), stopped=stopped)
         if self._let_go:
             reasons.append(self._let_go)
         silent = self._now - self._requested_at > self.rules.command_timeout
@@ -359,7 +359,7 @@ class Supervisor:
             goal = self._output if self._requested is None else self._requested
             self._move(goal, self.rules.rates, passed, reading)
         limp = self.state == LIMP
-        off = tuple(name for name in off if limp or name in self._tripped)
+        off = tuple(name for name in inputs if limp or name in self._tripped)
         state, reduction = self.state, self._reduction
         return Decision(self._output.copy(), off, state, causes, self._clipped, reduction, stopped)
 

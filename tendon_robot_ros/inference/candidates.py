@@ -247,4 +247,5 @@ def likelihood_ratio_p_value(gain: float, rank: int, freedom: float = np.inf) ->
         return 1.0
     if freedom >= FREEDOM_MANY:
         return chi2_sf(gain, rank)
+    # 1 / (1 + F rank / freedom), because F itself overflows for large gains
     return beta_cdf(np.exp(-gain / (freedom + rank)), 0.5 * freedom, 0.5 * rank)

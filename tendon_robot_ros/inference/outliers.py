@@ -50,8 +50,8 @@ def contradicted(moves: Floats, slopes: Floats) -> tuple[Bools, Bools]:
 
     In every posture the reading, or the trial, that is farthest beyond its limit is removed, and
     the others are tested again without it, because it biased what was expected of them. Where half
-    of the trials are off, or half of the readings of a marker, none of them is left out, because
-    they scatter like that; but all readings of a marker are, where too few agree.
+    of the trials of a posture, or of the readings of a marker, are off, none is left out: their
+    scatter is that large. Where fewer than `TRIALS_MIN` readings of a marker agree, all are.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def _beyond(residuals: dict[int, _Deviations]) -> tuple[Floats, Floats]:
     """
     Return the deviations of readings (P, Q, J) and trials (P, Q), over their chance limits.
 
-    A reading that is not beyond its limit if the slopes are wrong counts as if they were.
+    A reading counts in full only if it is beyond its limit even where the slopes are wrong.
     """
     sizes, freedom, surely, moved, strengths = (
         np.stack([getattr(one, field.name) for one in residuals.values()])

@@ -59,7 +59,7 @@ def f_sf(x: float, upper: float, lower: float) -> float:
 
 
 def beta_cdf(x: float, a: float, b: float) -> float:
-    """Probability that a beta variable is below x: d / (d + r F) for F with (r, d) = 2 (b, a)."""
+    """Probability that a variable of the beta distribution with parameters a, b is below x."""
     return float(special.betainc(a, b, x))
 
 
