@@ -52,7 +52,7 @@ def columns_of(name):
     robot = load_robot(ROBOTS / f'{name}.yaml')
     plant = make_plant(robot, work=USUAL, seed=1)
     dataset = simulate(plant, default_postures(robot, 12), seed=1)
-    session = Question.of(dataset, robot, load_catalogue()).weigh({})
+    session = Question.of(dataset, robot, load_catalogue()).weigh()
     columns = session.whitener.white(session.imperfections.moves).T
     owners, kinds = session.imperfections.owners, session.imperfections.kinds
     return RandomEffects(columns, owners, kinds), columns, owners
@@ -79,12 +79,12 @@ def fitted(name, hidden, number, level, seed):
     setup, catalogue = read_plan(PLANS / f'{plan}.yaml').setup, load_catalogue()
     case = Case(name, hidden, SIZE, number, level=level)
     made = replace(setup, seed=seed).simulated(case)
-    session, fit = Question.of(made.fit, made.robot, catalogue).weigh({}), None
+    session, fit = Question.of(made.fit, made.robot, catalogue).weigh(), None
     session = session.without(find_outliers(session.predictor, {}))
     frees = [c.frees for c in session.candidates if c.names == (hidden,)]
     for _ in range(3):
         if fit is not None:
-            session = session.weigh(fit.point, fit.built.around)
+            session = session.weigh(fit)
         fit = session.fitter.fit(frees[0] if frees else (), fit)
         fit = session.fitter.over_reversals(fit)
     return arm_report(session, session.fitter.for_values(fit)), made.built

@@ -43,7 +43,7 @@ def left_out(names: tuple[str, ...], start: dict) -> np.ndarray:
     errors = []
     for i, posture in enumerate(dataset.postures):
         others = dataset.select([name for name in dataset.postures if name != posture])
-        session = Question.of(others, others.robot, catalogue).weigh({})
+        session = Question.of(others, others.robot, catalogue).weigh()
         frees = combined(session, names).frees
         fit = session.fitter.fit(frees, start)
         errors.append(dataset.mean[i] - whole.predictor.markers(fit.point)[i])
@@ -66,7 +66,7 @@ def main() -> int:
     parser.add_argument('--json', type=Path)
     options = parser.parse_args()
     dataset = load_dataset(DATA)
-    session = Question.of(dataset, dataset.robot, load_catalogue()).weigh({})
+    session = Question.of(dataset, dataset.robot, load_catalogue()).weigh()
     prior = per_marker(dataset.mean - session.predictor.markers({}))
     print('rms error [mm] at markers p1 p2 p3 p4       fitted                   left out')
     print(f'{"prior description":38s} {_text(prior)}')

@@ -172,8 +172,9 @@ def test_the_noise_of_inputs_acts_on_the_arm_as_it_is_built():
     )
     n, seen = split.robot.cells, []
     members = {'cell_kink': np.full(n, 0.05), 'channel_gain': np.array([0.2, 0.1])}
+    fit = question.weigh().base_fit()
     for at in ({}, members):
-        session = question.weigh({}, at)
+        session = question.weigh(fit.started_from(at, fit.built.sizes))
         split.around, share = at, session.noise.trial**2 / 5.0 + session.noise.setting**2
         variance = np.zeros_like(dataset.mean)
         for j in range(dataset.inputs.shape[1]):
@@ -209,7 +210,7 @@ def test_a_fit_never_rises_where_friction_turns_over(monkeypatch):
     hidden = {'pre_curvature': {'angle_x': 0.004, 'angle_y': 0.0}}
     plant = make_plant(robot, hidden, seed=103, work=Workmanship())
     dataset = simulate(plant, np.array(SLACK_POSTURES), trials=3, seed=103)
-    session = Question.of(dataset, robot, CATALOGUE.sized(natural_sizes(robot))).weigh({})
+    session = Question.of(dataset, robot, CATALOGUE.sized(natural_sizes(robot))).weigh()
     candidate = next(c for c in session.candidates if c.label == 'pre_curvature')
     places, found, start, go = [], [], None, Fitter.go
     monkeypatch.setattr(Fitter, 'go', lambda self, at: places.append(at) or go(self, at))
@@ -227,7 +228,7 @@ def test_a_fit_never_rises_where_friction_turns_over(monkeypatch):
         )
         assert worth == pytest.approx(deviances[-1], rel=1e-6), 'what it is worth is predicted'
         assert fit.deviance < worth + 1e-6, 'no imperfections are more likely than the best'
-        session = session.weigh(fit.point, fit.built.around)
+        session = session.weigh(fit)
     assert len(places) >= 5, 'some steps were taken'
     np.testing.assert_allclose(found, found[0], atol=3e-4, err_msg='it stays where it was found')
 
@@ -243,7 +244,7 @@ def test_a_soft_cell_is_looked_for_beyond_where_friction_turns_over():
     """On the near side it gains 5 over no effect."""
     setup = replace(read_plan(PLANS / 'diagnosis.yaml').setup, seed=71)
     made = setup.simulated(Case('hinged', 'soft_cell', 0.65, 3))
-    session = Question.of(made.fit, made.robot, CATALOGUE).weigh({})
+    session = Question.of(made.fit, made.robot, CATALOGUE).weigh()
     session = session.without(find_outliers(session.predictor, {}))
     base = session.fitter.over_reversals(session.base_fit())
     found = Patterns(session.fitter, base, reversals=True).soft_cell()
@@ -255,12 +256,12 @@ def test_a_soft_cell_is_looked_for_beyond_where_friction_turns_over():
 def test_a_fit_looks_beyond_where_friction_turns_over():
     """One posture lies by a turn of friction: on the near side cells scatter by ten times."""
     made = levels_case('hinged/gravity/0.69461/0/0/0/0.3333/0')
-    session = Question.of(made.fit, made.robot, CATALOGUE).weigh({})
+    session = Question.of(made.fit, made.robot, CATALOGUE).weigh()
     session = session.without(find_outliers(session.predictor, {}))
     frees = next(one.frees for one in session.candidates if one.names == ('gravity',))
     near = session.fitter.fit(frees)
     for _ in range(2):
-        session = session.weigh(near.point, near.built.around)
+        session = session.weigh(near)
         near = session.fitter.fit(frees, near)
     fitter = session.fitter
     far = fitter.over_reversals(near)
@@ -285,7 +286,7 @@ def test_fits_look_beyond_turns_of_friction_at_the_last_weights_too():
 @pytest.mark.parametrize('name', ['messy_008', 'messy_s0'])
 def test_where_friction_does_not_turn_over_a_fit_stays_as_it_is(name):
     dataset = case(name)
-    session = Question.of(dataset, dataset.robot, CATALOGUE).weigh({})
+    session = Question.of(dataset, dataset.robot, CATALOGUE).weigh()
     fit = session.base_fit()
     found = session.fitter.over_reversals(fit)
     assert found is fit or found.deviance < fit.deviance
@@ -329,7 +330,7 @@ def test_the_sizes_of_imperfections_are_recovered():
 def unexplained(name):
     """Return the random effects of a case, and what the description leaves (N,)."""
     dataset = case(name)
-    session = Question.of(dataset, dataset.robot, CATALOGUE).weigh({})
+    session = Question.of(dataset, dataset.robot, CATALOGUE).weigh()
     return session.random, session.fitter.residual(session.predictor.markers({}))
 
 

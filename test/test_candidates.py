@@ -17,7 +17,7 @@ HARDLY = 'these postures hardly show it'
 def untested(robot=ROBOT, **options):
     """Return what the default postures of a robot do not show, with the reason."""
     dataset = measured(robot, **options)
-    session = Question.of(dataset, robot, CATALOGUE).weigh({})
+    session = Question.of(dataset, robot, CATALOGUE).weigh()
     _, rest = session.split_tested({})
     return {c.names[0]: why_untested(CATALOGUE[c.names[0]], dataset, robot) for c in rest}
 
@@ -82,7 +82,7 @@ def test_luck_is_fair_on_clean_data():
     one, two = [], []
     robot = replace(ROBOT, exact=True)  # else imperfections take the gains, which this arm has not
     for seed in range(40):
-        session = Question.of(measured(robot, seed=seed, count=5), robot, CATALOGUE).weigh({})
+        session = Question.of(measured(robot, seed=seed, count=5), robot, CATALOGUE).weigh()
         base = session.base_fit()
         names = {'hinge_friction': one, 'backbone_stiffness': two}
         for ranked in session.fit_all([c for c in session.candidates if c.names[0] in names]):

@@ -32,7 +32,7 @@ def scattered(seed, hidden=None, **cells):
 
 def test_the_fit_is_that_of_generalised_least_squares():
     """Its chi² is that with the covariance of the cells in the noise."""
-    session = Question.of(scattered(1), ROBOT, CATALOGUE).weigh({})
+    session = Question.of(scattered(1), ROBOT, CATALOGUE).weigh()
     cells, _ = session.imperfections.kinds
     assert (cells.name, cells.plausible, len(cells)) == ('cell_stiffness', 0.02, CELLS)
     fit = session.base_fit()

@@ -40,7 +40,7 @@ HIDDEN = [
 
 def settled(dataset, names, robot=None):
     """Return the session and the fit of effects."""
-    session = Question.of(dataset, robot or dataset.robot, CATALOGUE).weigh({})
+    session = Question.of(dataset, robot or dataset.robot, CATALOGUE).weigh()
     return fit_effects(session, names)
 
 
@@ -134,7 +134,7 @@ def test_two_effects_are_fitted_together():
 def test_a_step_that_is_too_long_is_shortened_not_the_end_of_a_fit():
     robot = replace(planar(), gravity=(0.0, 0.0, 0.0), exact=True)
     dataset = measured(robot, {'tip_load': {'force_x': 0.05}}, 6, 3, input='displacement')
-    session = Question.of(dataset, robot, CATALOGUE).weigh({})
+    session = Question.of(dataset, robot, CATALOGUE).weigh()
     stiffness, load = (
         free_parameters(session.catalogue[name], robot)
         for name in ('tendon_stiffness', 'tip_load')
@@ -148,7 +148,7 @@ def test_a_fit_that_begins_with_the_derivatives_of_another_ends_where_it_would_w
     dataset = measured(
         EXACT, {'hinge_friction': {'lever': 2e-4}, 'tension_offset': {'offset': 0.03}}
     )
-    session = Question.of(dataset, EXACT, CATALOGUE).weigh({})
+    session = Question.of(dataset, EXACT, CATALOGUE).weigh()
     frees = [
         free
         for name in ('hinge_friction', 'tension_offset')
@@ -261,7 +261,7 @@ def test_an_interval_ends_where_the_model_itself_with_other_gains_fits_that_much
 
 def test_what_no_posture_shows_has_no_interval():
     dataset = measured(ROBOT)
-    session = Question.of(dataset, ROBOT, CATALOGUE).weigh({})
+    session = Question.of(dataset, ROBOT, CATALOGUE).weigh()
     gravity = next(c for c in session.candidates if c.names == ('gravity',))
     fit = session.fitter.fit(gravity.frees)
     value = values_of(fit)['gravity']['linear_density']
@@ -273,7 +273,7 @@ def test_what_no_posture_shows_has_no_interval():
 def test_a_declared_tolerance_takes_part_with_its_prior():
     robot = replace(ROBOT, tolerances={'bending_stiffness': 0.05}, exact=True)
     dataset = measured(robot, {'backbone_stiffness': {'relative_change': 0.04}})
-    session = Question.of(dataset, robot, CATALOGUE).weigh({})
+    session = Question.of(dataset, robot, CATALOGUE).weigh()
     base = session.base_fit()
     assert base.values[-1] == pytest.approx(0.04, abs=0.01)
     assert base.prior_z['bending_stiffness'] == pytest.approx(0.8, abs=0.2)

@@ -38,7 +38,7 @@ def softened(cell, factor):
 
 def base_of(dataset, robot=ROBOT):
     """Return a session and its fit without any effect."""
-    session = Question.of(dataset, robot, CATALOGUE).weigh({})
+    session = Question.of(dataset, robot, CATALOGUE).weigh()
     return session, session.base_fit()
 
 

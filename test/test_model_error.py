@@ -119,7 +119,7 @@ def test_an_interval_holds_what_the_model_is_off():
 
 
 def test_a_response_that_is_off_is_off_by_the_same_share_of_every_change():
-    session = Question.of(measured(ROBOT, LOAD), ROBOT, CATALOGUE).weigh({})
+    session = Question.of(measured(ROBOT, LOAD), ROBOT, CATALOGUE).weigh()
     frees = next(one.frees for one in session.candidates if one.names == ('tip_load',))
     fit = session.fitter.fit(frees)
     changed = fit.values - np.array([session.predictor.value(free) for free in frees])

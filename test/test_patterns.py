@@ -22,7 +22,7 @@ def damaged(factors):
 
 def patterns_of(dataset, robot=ROBOT):
     """Fit the patterns to measurements that the description does not explain."""
-    session = Question.of(replace(dataset, robot=robot), robot, CATALOGUE).weigh({})
+    session = Question.of(replace(dataset, robot=robot), robot, CATALOGUE).weigh()
     fit = session.base_fit()
     found = Patterns(session.fitter, fit).fitted(session.progress)
     return fit, {pattern.name: pattern for pattern in found}
@@ -121,7 +121,7 @@ def test_places_that_move_markers_alike_count_as_one():
 def test_a_line_that_patterns_are_far_above_changes_nothing_below_it():
     dataset = measured(damaged(np.where(np.arange(15) == 3, 0.2, 1.0)), count=6)
     robot = replace(ROBOT, exact=False)
-    session = Question.of(replace(dataset, robot=robot), robot, CATALOGUE).weigh({})
+    session = Question.of(replace(dataset, robot=robot), robot, CATALOGUE).weigh()
     fit = session.base_fit()
     whole = {one.name: one for one in Patterns(session.fitter, fit).fitted(session.progress)}
     line = whole['soft_cell'].score

@@ -196,7 +196,7 @@ def test_the_measured_arm_is_the_same_in_whatever_frame_the_tracker_sees_it():
     robot, screens = simulated.robot(cells=5, exact=True), []
     for seen in (robot, robot.with_effect('base_misalignment', frame)):
         dataset = simulated.measured(seen, {'contact': wall}, count=6)
-        session = Question.of(dataset, seen, simulated.CATALOGUE).weigh({})
+        session = Question.of(dataset, seen, simulated.CATALOGUE).weigh()
         screens.append(Screen.of(session.fitter, session.base_fit()))
     plain, turned = screens
     pushed_by = np.linalg.norm(plain.measured - plain.free, axis=2).max()
@@ -229,8 +229,8 @@ def test_imperfections_are_weighed_as_they_move_an_arm_that_is_held():
     chosen = fits.judge().chosen
     assert chosen.names == ('contact',)
     weighed = fits.session.imperfections.moves
-    held = fits.session.weigh(chosen.fit.point, chosen.fit.built.around).imperfections.moves
-    free = fits.session.weigh({}).imperfections.moves
+    held = fits.session.weigh(chosen.fit).imperfections.moves
+    free = fits.session.weigh().imperfections.moves
     assert np.abs(weighed - held).max() < 0.1 * np.abs(free - held).max()
 
 

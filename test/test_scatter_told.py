@@ -98,7 +98,7 @@ def test_whether_a_size_is_told_does_not_depend_on_what_comes_out():
     for work in (None, Workmanship()):
         plant = make_plant(robot, work=work, seed=1, scatter=0.0)
         dataset = simulate(plant, default_postures(robot, 12), seed=1)
-        session = Question.of(dataset, robot, CATALOGUE).weigh({})
+        session = Question.of(dataset, robot, CATALOGUE).weigh()
         report = arm_report(session, session.fitter.fit((), None))
         kinds.append({kind['kind']: kind for kind in report['kinds']})
     exact, usual = kinds

@@ -18,7 +18,7 @@ def test_memory_of_friction_is_fitted_beside_an_effect_only_where_there_may_be_o
     robot = simulated.robot(name)
     session = Question.of(
         measured(robot, hidden, count=8, path='sequence'), robot, CATALOGUE
-    ).weigh({})
+    ).weigh()
     (alone,) = session.fit_all([c for c in session.candidates if c.names == ('hinge_friction',)])
     (memory,) = [c for c in session.candidates if c.names == ('friction_memory',)]
     gain = hint(session, alone, alone.candidate.with_(memory)).gain
@@ -42,6 +42,6 @@ def test_an_effect_that_others_make_needless_leaves_the_combination():
         'tendon_friction': {'friction_coefficient': 0.25},
         'tip_load': {'force_x': 0.01, 'force_z': 0.02},  # [N]
     }
-    session = Question.of(measured(described, hidden, count=10), described, CATALOGUE).weigh({})
+    session = Question.of(measured(described, hidden, count=10), described, CATALOGUE).weigh()
     first = session.fit_all([c for c in session.candidates if c.names == ('moment_arm',)])
     assert set(several(session, first)[1][0].names) == set(hidden)

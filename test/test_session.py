@@ -11,7 +11,7 @@ ROBOT = simulated.robot()
 
 
 def fitted(hidden, robot=ROBOT):
-    session = Question.of(measured(robot, hidden, count=12), robot, CATALOGUE).weigh({})
+    session = Question.of(measured(robot, hidden, count=12), robot, CATALOGUE).weigh()
     tested, _ = session.split_tested({})
     return session, {r.candidate.names[0]: r for r in session.fit_all(tested)}
 

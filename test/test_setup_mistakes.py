@@ -302,7 +302,7 @@ def test_a_marker_elsewhere_is_tried_though_all_nearer_to_the_base_leave_less():
     markers = [right.markers[j] for j in own]
     markers[-1] = replace(markers[-1], arc_length=0.095)
     wrong = replace(right, markers=tuple(markers), positions=right.positions[:, :, own])
-    session = Question.of(wrong, arm, CATALOGUE).weigh({})
+    session = Question.of(wrong, arm, CATALOGUE).weigh()
     _, found = mended_rivals(session, 2e-3)
     assert 'with marker 20 at 100 mm along the arm instead of 95.0 mm' in found[0].mistake.sentence
     assert found[0].explained.names == ('tip_load',)
@@ -345,7 +345,7 @@ def test_half_as_many_cells_on_the_same_length_are_told_beside_a_load():
         markers=tuple(right.markers[j] for j in own),
         positions=right.positions[:, :, own],
     )
-    session = Question.of(wrong, half, CATALOGUE).weigh({})
+    session = Question.of(wrong, half, CATALOGUE).weigh()
     _, found = mended_rivals(session, 2e-3)
     said = 'with 20 cells of 5 mm instead of 10 in the arm (markers stay)'
     assert said in found[0].mistake.sentence  # twice the tensions do nearly the same

@@ -86,7 +86,7 @@ def test_a_fit_that_makes_others_worse_is_not_written(tmp_path, monkeypatch, cap
 def test_the_order_in_which_effects_are_named_does_not_matter(both, monkeypatch):
     """Springs of the wires join first, and what has no equilibrium alone waits for the rest."""
     few, joined = both.select(both.postures[::6]), []
-    session = Question.of(few, few.robot, load_catalogue()).weigh({})
+    session = Question.of(few, few.robot, load_catalogue()).weigh()
     plain = Fitter.fit
 
     def fit(fitter, frees, start=None, **options):
@@ -106,7 +106,7 @@ def test_the_order_in_which_effects_are_named_does_not_matter(both, monkeypatch)
 def test_where_an_effect_led_the_arm_may_have_no_equilibrium_without_it():
     """It was the end of `diagnose data/trunk/base`."""
     base = load_dataset(TRUNK / 'base')
-    session = Question.of(base, base.robot, load_catalogue()).weigh({})
+    session = Question.of(base, base.robot, load_catalogue()).weigh()
     fit = session.base_fit()
     assert fit.built is not None
     slack = {'pull_zero': np.ones_like(fit.built.around['pull_zero'])}  # a metre of every wire

@@ -267,13 +267,13 @@ def _by_accuracy(
     the error on left-out postures.
     """
     with suppress(NoEquilibriumError):
-        accurate = replace(session, use_accuracy=True).weigh(fit.point)
+        accurate = replace(session, use_accuracy=True).weigh(fit)
         accurate, refitted = fit_effects(accurate, names, fit.point)
         refitted = accurate.fitter.for_values(refitted)
         other = written(accurate, refitted)
         if other.left_out <= descriptions.left_out:
             return accurate, refitted, other
-    return session.weigh(fit.point, fit.built.around), fit, descriptions
+    return session.weigh(fit), fit, descriptions
 
 
 def add_effect(
@@ -322,7 +322,7 @@ def fit_effects(
     own = [_candidate(session, name, keys) for name, keys in known.items()]
     fit = _joined(session, own) if start is None else _fit(session, _together(own), start)
     for _ in range(2):
-        session = session.weigh(fit.point, fit.built.around)
+        session = session.weigh(fit)
         fit = _fit(session, _together(own), fit)
     return session, session.fitter.over_reversals(fit)
 

@@ -91,7 +91,7 @@ def diagnose(
             raise
         return _mistaken(question, mistake)
     try:
-        session = question.weigh({})
+        session = question.weigh()
     except InputError:
         return _cannot_judge(question, NOISE_UNKNOWN)
     exchange = exchanged_in(session.predictor)  # else outliers may be exchanged markers
@@ -157,9 +157,9 @@ def _explains(session: Session, one: Mended) -> bool:
 
 def _weighed(question: Question, frees: tuple[FreeParameter, ...] = ()) -> tuple[Session, Fit]:
     """Return a session with weights taken at a fit, and this fit."""
-    session = question.weigh({})
+    session = question.weigh()
     fit = session.fitter.fit(frees)
-    return session.weigh(fit.point, fit.built.around), fit
+    return session.weigh(fit), fit
 
 
 def _weighed_against(session: Session, mistake: Mistake, diagnosis: Diagnosis) -> Diagnosis:

@@ -214,7 +214,7 @@ def as_found(search: Stepwise, state: State) -> AsFound | None:
             if name in before.effects:
                 robot = robot.with_effect(name, before.effects[name], before.fitted.get(name))
     try:
-        session = Question.of(search.dataset, robot, search.catalogue).weigh({})
+        session = Question.of(search.dataset, robot, search.catalogue).weigh()
         settled = settle(session, names, {})
     except (*FAILURES, NoEquilibriumError):
         return None

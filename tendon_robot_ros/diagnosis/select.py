@@ -302,9 +302,10 @@ def gather(question: Question) -> Fits:
     """
     Fit the base and every candidate; weights are taken at the best candidate's fit.
 
-    Twice, and again while a fit improves beyond a reversal of friction, where weights differ.
+    Twice, and again while that makes its fit likelier, another one is now much better, or one
+    improves beyond a reversal of friction: a fit is judged by its own weights.
     """
-    session = question.weigh({})
+    session = question.weigh()
     base = session.base_fit()
     tested, not_tested = session.split_tested(base.point)
     singles, reversed_once = session.fit_all(tested), False
@@ -312,8 +313,9 @@ def gather(question: Question) -> Fits:
         if not singles:
             break
         best = first_of_best(singles)
+        before = session.score(best.score)
         far = base.deviance > best.score + NEAR_SCORE
-        session = session.weigh(best.fit.point, best.fit.built.around)
+        session = session.weigh(best.fit)
         if far:  # it cannot win: one start is enough
             try:
                 base = session.fitter.fit((), base)
@@ -328,9 +330,16 @@ def gather(question: Question) -> Fits:
             near, base = base, session.fitter.over_reversals(base)
             reversed_once |= base.deviance < near.deviance - REVERSAL_GAIN_MIN
         beyond = over_reversals(session, singles)
-        if beyond is singles:
+        own = min((r.score for r in beyond if r.names == best.names), default=np.inf)
+        likelier = session.score(own) < before - REVERSAL_GAIN_MIN
+        if (
+            beyond is singles
+            and not likelier
+            and own <= first_of_best(beyond).score + APART_FROM_SCORE
+        ):
             break
-        singles, reversed_once = beyond, True
+        reversed_once |= beyond is not singles
+        singles = beyond
     return Fits(session, base, singles, not_tested, reversed_once)
 
 
@@ -400,7 +409,7 @@ def _pruned(session: Session, ranked: Ranked) -> Ranked:
 def reweighed(session: Session, ranked: Ranked) -> tuple[Session, Ranked]:
     """Refit a candidate with noise and weights taken at its own fit."""
     for _ in range(2):
-        session = session.weigh(ranked.fit.point, ranked.fit.built.around)
+        session = session.weigh(ranked.fit)
         ranked = session.fit_all([ranked.candidate], {ranked.candidate.label: ranked.fit})[0]
     return session, ranked
 

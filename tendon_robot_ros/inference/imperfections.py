@@ -23,7 +23,7 @@ from ..model.shape import ShapeBatch
 from ..robot import Robot
 from ..robot.description import tendon_offsets
 from ..robot.estimates import natural_sizes
-from .predict import CELLS, Conditions, Point, Predictor
+from .predict import CELLS, Conditions, Point, Predictor, SettledShapes
 
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
@@ -229,7 +229,11 @@ class BuiltPredictor(Predictor):
 
 
 def imperfections(
-    arm: Predictor, point: Point, at: Members | None = None, changed: bool = False
+    arm: Predictor,
+    point: Point,
+    at: Members | None = None,
+    changed: bool = False,
+    near: SettledShapes | None = None,
 ) -> Imperfections | None:
     """
     Return the kinds and slopes of imperfections at a point, linearised around given ones (`at`).
@@ -237,13 +241,13 @@ def imperfections(
     Of two recordings of an arm both have the same ones, which cancel; what remains is how far its
     deviations themselves have changed, which may be as much as they are. With `changed`,
     imperfections may be new. An arm that is no `BuiltPredictor` is exact: it has none of any kind.
-    None where the model has no equilibrium.
+    None where the model has no equilibrium, which is looked for from `near`.
     """
     if not isinstance(arm, BuiltPredictor):
         return Imperfections.none(arm.dataset)
     reference = arm.dataset.reference
     kinds, arm.around = arm.kinds(changed) if reference is None or changed else (), at or {}
-    if arm.markers(point) is None:
+    if arm.markers(point, near=near) is None:
         return None
     moves = member_moves(arm, point, kinds)
     columns = remainders(arm)

@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import RESOLUTION, Floats
+from ..common.estimation import STEP_LENGTHS
 from ..data import DataSet
-from .predict import Point, Predictor, mean_inputs
+from .predict import Point, Predictor, SettledShapes, mean_inputs
 from .statistics import chi2_isf, minimum, rms
 
 BoolArray = npt.NDArray[np.bool_]
@@ -55,13 +56,14 @@ class Noise:
     shift: float = 0.0
 
 
-def input_slopes(predictor: Predictor, point: Point) -> Floats:
+def input_slopes(predictor: Predictor, point: Point, near: SettledShapes | None = None) -> Floats:
     """
     Return the displacement of markers by relative changes of the inputs, (P, m, J, 3) [m].
 
-    Central differences of about one noise sd with a full solution each: friction is kinked. An
-    input without a solution on both sides counts as without influence. Zero, without a solution,
-    where inputs have no noise: none is declared, and no posture has two trials that could show it.
+    Central differences of about one noise sd with a full solution each: friction is kinked. Where
+    a posture has no solution, shorter ones; without any, the input counts as without influence.
+    Zero where inputs have no noise: none is declared, and no posture has two trials that show it.
+    `near` are equilibria to start from.
     """
     inputs, dataset = predictor.inputs, predictor.dataset
     slopes = np.zeros((*inputs.shape, len(dataset.markers), 3))
@@ -72,12 +74,14 @@ def input_slopes(predictor: Predictor, point: Point) -> Floats:
     sizes = np.abs(np.nan_to_num(inputs))
     steps = relative * sizes
     for j in range(inputs.shape[1]):
-        step = np.where(np.arange(inputs.shape[1]) == j, steps, 0.0)
-        up, down = (predictor.markers(point, inputs + side) for side in (step, -step))
-        if up is None or down is None:
-            continue
-        width = np.where(steps[:, j] > 0.0, 2.0 * steps[:, j], np.inf)
-        slopes[:, j] = (up - down) * (sizes[:, j] / width)[:, None, None]
+        for share in STEP_LENGTHS:
+            own = share * steps[:, j]
+            step = np.where(np.arange(inputs.shape[1]) == j, own[:, None], 0.0)
+            up, down = (predictor.markers(point, inputs + side, near) for side in (step, -step))
+            if up is not None and down is not None:
+                width = np.where(own > 0.0, 2.0 * own, np.inf)
+                slopes[:, j] = (up - down) * (sizes[:, j] / width)[:, None, None]
+                break
     return slopes
 
 

@@ -20,7 +20,7 @@ from ..robot.estimates import natural_sizes
 from .candidates import Candidate, Ranked, candidates_of, is_tested, nuisances_of
 from .fit import Fit, Nuisance
 from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
-from .imperfections import REMAINDER, BuiltPredictor, Imperfections, Members, imperfections
+from .imperfections import REMAINDER, BuiltPredictor, Imperfections, imperfections
 from .marginal import RandomEffects
 from .noise import Noise, Whitener, estimate_noise, input_slopes, relative_error
 from .outliers import Outliers, find_outliers, without_unsettled
@@ -144,7 +144,7 @@ class Question:
         NoEquilibriumError
 
         """
-        session = self.settled().weigh({})
+        session = self.settled().weigh()
         return session.without(find_outliers(session.predictor, {}))
 
     def settled(self) -> Question:
@@ -160,29 +160,34 @@ class Question:
         settled, unsettled = without_unsettled(self.predictor)
         return replace(self.about(settled), unsettled=unsettled) if unsettled else self
 
-    def weigh(self, point: Point, at: Members | None = None) -> Session:
+    def weigh(self, fit: Fit | None = None) -> Session:
         """
-        Estimate the noise and weigh the measurements at a point.
+        Estimate the noise and weigh the measurements at a fit; default: as described.
 
-        Imperfections are linearised around given ones (`at`); the slopes by inputs belong to an
+        Imperfections are linearised around those of the fit; the slopes by inputs belong to an
         arm with these, because a kink can reverse the direction of friction.
 
         Raises
         ------
         InputError
             The noise is not known.
+        ArithmeticError
+            The model has no equilibrium there.
 
         """
-        arm = self.arm
-        arm.around = at or {}
-        slopes = input_slopes(arm if at else self.predictor, point)
+        arm, point = self.arm, {} if fit is None else fit.point
+        around = {} if fit is None else fit.built.around
+        near, arm.around = None if fit is None else fit.settled, around
+        slopes = input_slopes(arm if around else self.predictor, point, near)
         noise = estimate_noise(self.dataset, slopes)
         if noise is None:
             raise InputError(f'{self.dataset.name}: {NOISE_UNKNOWN}')
         taken = self.dataset.reference
         rough = 0.0 if taken is None else taken.noise
         whitener = Whitener(self.dataset, noise, slopes, self.model_error, rough)
-        built = imperfections(arm, point, at) or Imperfections.none(self.dataset)
+        built = imperfections(arm, point, around, near=near)
+        if built is None:
+            raise ArithmeticError('no equilibrium where imperfections are linearised')
         arm.around = {}
         random = RandomEffects(whitener.white(built.moves).T, built.owners, built.kinds)
         own = {one.name: getattr(self, one.name) for one in fields(Question)}
@@ -232,7 +237,7 @@ class Session(Question):
     def without(self, outliers: Outliers) -> Session:
         """Exclude measurements that the other trials contradict, and weigh the others."""
         session = replace(self, outliers=outliers)
-        return session.about(outliers.without(self.dataset)).weigh({}) if outliers.any else session
+        return session.about(outliers.without(self.dataset)).weigh() if outliers.any else session
 
     @cached_property
     def fitter(self) -> Fitter:
