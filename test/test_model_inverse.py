@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arms import scaled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -82,7 +83,9 @@ def test_a_target_that_more_tension_would_reach_names_the_input_at_its_limit():
 def test_a_warm_start_stays_in_the_branch_it_is_in(model):
     shape = tips(model, 1, seed=3)
     found = model.reach(shape.tip_position[0], shape.tip_direction[0])
-    near = model.reach(found.shape.tip_position, found.shape.tip_direction, guess=found.shape)
+    near = model.reach(
+        found.shape.tip_position, found.shape.tip_direction, guess=found.shape.state
+    )
     assert near.tensions == pytest.approx(found.tensions, abs=1e-2)
 
 
@@ -306,3 +309,13 @@ def test_tensions_of_a_stream_that_goes_out_of_reach_and_back_have_no_jump(
                 assert step < 0.1, (share, before, found)
         last = share
     assert beyond > 10 and found.status == 'reached'
+
+
+def test_a_solution_whose_equilibrium_is_not_found_again_is_no_solution():
+    """One of the starts ends where friction that sticks has another equilibrium."""
+    model = Model(scaled(load_robot(ROBOTS / 'spatial_6.yaml'), 10.0, 1e3))
+    found = model.reach([-0.963701677993166, 1.2582409581020078, 0.8407603638192915])
+    again = model.shape(found.tensions, guess=found.shape.state)
+    assert np.allclose(again.tip_position, found.shape.tip_position, rtol=0, atol=1e-6)
+    assert found.status == 'nearest'
+    assert found.position_error < 0.02

@@ -27,6 +27,7 @@ from .starts import (
     aim,
     aim_by_pulls,
     aim_frugally,
+    cost_at,
     rows_near,
     seek,
     starts_of,
@@ -196,7 +197,8 @@ class _Search:
         else:
             for weight in (100.0 * SEEKING_WEIGHT, SEEKING_WEIGHT, LOW_TENSION_WEIGHT):
                 result = aim(task, 0.0, result, limits, task.tension(weight))
-        return result if result.cost < best.cost and self._converged(result) else best
+        better = result.cost < best.cost and self._converged(result)
+        return result if better and self._is_found_again(result) else best
 
     def good_enough(self, one: TriedTensions) -> bool:
         """Tell whether a search may end: converged, or as near as a kink of friction allows."""
@@ -206,7 +208,12 @@ class _Search:
         search, tried = start
         if self.task.by_pulls:
             return aim_by_pulls(self.task, search, tried)
-        return search(tried, self.model.limits)
+        trial = search(tried, self.model.limits)
+        return trial if self._is_found_again(trial) else replace(trial, cost=np.inf)
+
+    def _is_found_again(self, one: TriedTensions) -> bool:
+        """Tell whether its bends lead to it again: tendons that stick have several equilibria."""
+        return not self.model.sticks or np.isfinite(cost_at(self.task, one, self.task.limits).cost)
 
     def _converged(self, one: TriedTensions) -> bool:
         """Tell whether the cost without its part for low tension is within the tolerance."""
@@ -252,7 +259,7 @@ class _Search:
         result = search(start, task.limits)
         if task.by_pulls:  # only the taut wires keep tension
             result = aim_by_pulls(task, search, result)
-        return result if worth(result) < worth(best) else best
+        return result if worth(result) < worth(best) and self._is_found_again(result) else best
 
 
 def _balanced(task: TipTask, balance: Balance, first: Reach, give_up: Callable[[], bool]) -> Reach:
