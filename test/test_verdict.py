@@ -76,11 +76,15 @@ TABLE = {
     'what raised the alarm explains less than what does not': (
         evidence(replace(HINGE, gain_p=1.0), built=True, probability=0.5,
                  patterns=(replace(CELL, score=NEAR + 1.0),)), 'outside_catalogue', HINGE),
-    'a cause gains no more than one of two does by chance': (
+    'a load at a place gains no more than one of two does by chance': (
         evidence(replace(HINGE, gain_p=1.0), built=True, probability=0.5,
-                 patterns=(replace(CELL, gain_p=0.6 * ALARM_LEVEL),
-                           replace(*at_places(PUSH), gain_p=0.6 * ALARM_LEVEL))),
-        'adequate', None),
+                 patterns=[replace(one, gain_p=0.6 * ALARM_LEVEL)
+                           for one in at_places(PUSH, STRING)]), 'adequate', None),
+    'a cell gains more than chance beside them': (
+        evidence(replace(HINGE, gain_p=1.0), built=True, probability=0.5,
+                 patterns=[replace(one, gain_p=0.6 * ALARM_LEVEL)
+                           for one in (CELL, *at_places(PUSH, STRING))]),
+        'outside_catalogue', HINGE),
     'a pattern explains as much as a load at a place': (
         evidence(replace(HINGE, gain_p=1.0), built=True, probability=0.5,
                  patterns=(replace(CELL, gain_p=0.02), *at_places(PUSH))),

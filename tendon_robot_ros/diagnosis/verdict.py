@@ -286,25 +286,26 @@ def differs(evidence: Evidence, one: Hypothesis, scale: float = 1.0) -> bool:
 
 def outside_by_itself(evidence: Evidence) -> Rival | None:
     """
-    Return the best pattern whose gain over no effect is significant among all, if any.
+    Return the best pattern whose gain over no effect is significant, if any.
 
-    An effect whose place had to be found is none where single postures determine it.
+    An effect whose place had to be found is none where single postures determine it, and has to be
+    significant among all of these, as other effects are.
     """
     everywhere = [one for one in known(evidence.patterns, 'patterns') if one.everywhere]
     return _best_beyond_chance(
         [one for one in everywhere if not one.placed or one.placed.trust > P_SINGLE_MIN],
-        len(everywhere),
+        sum(one.placed is not None for one in everywhere),
     )
 
 
 def _best_beyond_chance(rivals: Sequence[Rival], among: int = 1) -> Rival | None:
     """
-    Return the best rival whose gain is significant among so many, if any.
+    Return the best rival whose gain is significant, if any; of effects at places among so many.
 
     An effect whose place had to be found does not count beside a pattern that explains as much: a
     force at a free place can imitate a cell that is softer than the others.
     """
-    likely = [one for one in rivals if gains(one.gain_p, among)]
+    likely = [one for one in rivals if gains(one.gain_p, among if one.placed else 1)]
     limit = min((one.score for one in likely), default=-math.inf) + APART_FROM_SCORE
     patterns = [one for one in rivals if not one.placed and one.gain_p < SIGNIFICANCE]
     near = [one for one in (*patterns, *likely) if one.score <= limit]
