@@ -49,7 +49,7 @@ def test_every_folder_keeps_its_licence():
 
 @pytest.mark.long
 def test_an_arm_as_found_that_has_no_equilibrium_on_a_posture_left_out_is_not_written(monkeypatch):
-    found = add_effects(TRUNK / 'base', ['backbone_stiffness'])
+    found = add_effects(TRUNK / 'base', ['torsion'])
     assert found.beside and found.check.after < found.check.before
     squares_of = crossval.left_out_squares
 
@@ -59,7 +59,7 @@ def test_an_arm_as_found_that_has_no_equilibrium_on_a_posture_left_out_is_not_wr
         return squares
 
     monkeypatch.setattr(crossval, 'left_out_squares', without_one)
-    assert not add_effects(TRUNK / 'base', ['backbone_stiffness']).beside
+    assert not add_effects(TRUNK / 'base', ['torsion']).beside
 
 
 def test_a_fit_that_makes_others_worse_is_not_written(tmp_path, monkeypatch, capsys):
