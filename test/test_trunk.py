@@ -16,6 +16,7 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.inference import crossval
 from tendon_robot_ros.inference.crossval import Errors
 from tendon_robot_ros.inference.fitter import Fitter
+from tendon_robot_ros.inference.noise import input_slopes
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.inference.session import Question
 
@@ -40,6 +41,11 @@ def test_the_known_weight_pulls_its_own_postures_down(both):
     shown = predictor.markers({})
     down = shown[9:, -1, 2] - shown[:9, -1, 2]
     assert (down[np.arange(9) != 4] > 3e-4).all() and abs(down[4]) < 1e-4  # c4 hangs straight
+
+
+def test_an_input_counts_though_an_error_of_one_sd_leaves_some_postures_without_equilibrium(both):
+    predictor = Predictor(both, both.robot, load_catalogue())
+    assert (np.abs(input_slopes(predictor, {})).max(axis=(0, 2, 3)) > 1e-3).all()
 
 
 def test_every_folder_keeps_its_licence():
