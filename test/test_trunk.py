@@ -98,15 +98,15 @@ def test_the_order_in_which_effects_are_named_does_not_matter(both, monkeypatch)
     def fit(fitter, frees, start=None, **options):
         names = list(dict.fromkeys(free.effect for free in frees))
         joined.append(names)
-        if names[-1] == 'backbone_stiffness' and len(names) < 3:
+        if names[-1] == 'pre_curvature' and len(names) < 3:
             raise ArithmeticError('no start of the fit has an equilibrium')
         return plain(fitter, (), **options)
 
     monkeypatch.setattr(Fitter, 'fit', fit)
-    fit_effects(session, ['backbone_stiffness', 'gravity', 'wire_spring'])
-    whole = ['wire_spring', 'gravity', 'backbone_stiffness']
-    ways = [['wire_spring'], ['wire_spring', 'backbone_stiffness'], whole[:2], whole]
-    assert joined == [*ways, *[['backbone_stiffness', 'gravity', 'wire_spring']] * 2]
+    fit_effects(session, ['pre_curvature', 'gravity', 'wire_spring'])
+    whole = ['wire_spring', 'gravity', 'pre_curvature']
+    ways = [['wire_spring'], ['wire_spring', 'pre_curvature'], whole[:2], whole]
+    assert joined == [*ways, *[['pre_curvature', 'gravity', 'wire_spring']] * 2]
 
 
 def test_where_an_effect_led_the_arm_may_have_no_equilibrium_without_it():
