@@ -20,12 +20,9 @@ from .compile import BEND_TOLERANCE, KernelArrays
 from .shape import ResultLayout, Shape, ShapeBatch, named_values
 
 TOLERANCE = BEND_TOLERANCE
-# [rad] last step of a search that stalled at a kink of friction, because those of arms that buckle
-# are larger: measured, 6e-3 and more
-STALLED_RAD = 2e-3
-# [1] by which tensions are raised then, so that they are beside the kink. Measured: 611 of 390,002
-# equilibria of a co-contraction of spatial_6, all found by one of them; without, the tip is off by
-# 0.8 instead of 0.2 mm in one of eight
+# [1] by which tensions are raised where a search stalls at a kink of friction, so that they are
+# beside it. Measured: 611 of 390,002 equilibria of a co-contraction of spatial_6, all found by one
+# of them; without, the tip is off by 0.8 instead of 0.2 mm in one of eight
 RETRY_RAISES = (1e-6, 1e-5, 1e-4, 1e-3)
 THREADS = 2  # [1] for a batch: so that other programs of a robot's computer keep a core
 # [rad] of one section by one input alone: a curl beyond three quarters of a turn would meet itself
@@ -202,7 +199,7 @@ class ForwardModel:
             return self.shape(tensions, last.state, past)
         except NoEquilibriumError as error:
             stalled = error
-        for raised in RETRY_RAISES if stalled.last_change < STALLED_RAD else ():
+        for raised in RETRY_RAISES:
             try:
                 return self.shape((1.0 + raised) * self.tensions(tensions), last.state, past)
             except NoEquilibriumError:
