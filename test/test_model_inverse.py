@@ -83,9 +83,7 @@ def test_a_target_that_more_tension_would_reach_names_the_input_at_its_limit():
 def test_a_warm_start_stays_in_the_branch_it_is_in(model):
     shape = tips(model, 1, seed=3)
     found = model.reach(shape.tip_position[0], shape.tip_direction[0])
-    near = model.reach(
-        found.shape.tip_position, found.shape.tip_direction, guess=found.shape.state
-    )
+    near = model.reach(found.shape.tip_position, found.shape.tip_direction, guess=found.shape)
     assert near.tensions == pytest.approx(found.tensions, abs=1e-2)
 
 
