@@ -289,12 +289,12 @@ def outside_by_itself(evidence: Evidence) -> Rival | None:
     Return the best pattern whose gain over no effect is significant, if any.
 
     An effect whose place had to be found is none where single postures determine it, and has to be
-    significant among all of these, as other effects are.
+    significant among all, because it is a name.
     """
     everywhere = [one for one in known(evidence.patterns, 'patterns') if one.everywhere]
     return _best_beyond_chance(
         [one for one in everywhere if not one.placed or one.placed.trust > P_SINGLE_MIN],
-        sum(one.placed is not None for one in everywhere),
+        len(everywhere),
     )
 
 
