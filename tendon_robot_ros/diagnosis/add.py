@@ -17,14 +17,7 @@ from ..common.results import TextResult, make_frame, plain
 from ..data import DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..inference.candidates import Candidate, is_tested, why_untested
-from ..inference.crossval import (
-    LEFT_OUT_RATIO_MAX,
-    Errors,
-    Written,
-    errors_on,
-    model_error_of,
-    written,
-)
+from ..inference.crossval import Errors, Written, errors_on, model_error_of, written
 from ..inference.fit import Fit
 from ..inference.intervals import LoadVector, Value, loads_of, values_with_intervals
 from ..inference.predict import Point, free_parameters
@@ -271,14 +264,14 @@ def _by_accuracy(
 
     Repeatability alone would give most weight to the postures with most trials and the markers
     with least noise, although the model error is far larger. The refit is rejected where it
-    clearly raises the error on left-out postures.
+    raises the error on left-out postures.
     """
     with suppress(NoEquilibriumError):
         accurate = replace(session, use_accuracy=True).weigh(fit)
         accurate, refitted = fit_effects(accurate, names, fit.point)
         refitted = accurate.fitter.for_values(refitted)
         other = written(accurate, refitted)
-        if LEFT_OUT_RATIO_MAX * other.left_out <= descriptions.left_out:
+        if other.left_out <= descriptions.left_out:
             return accurate, refitted, other
     return session.weigh(fit), fit, descriptions
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from .session import Session
 
 FOLDS = 6  # [1] groups of postures left out in turn, because each costs a run of the model
-# [1] ratio of two errors left out, below which one is lower: docs/inference.md
+# [1] ratio of the errors left out from which the arm as found is written: docs/inference.md
 LEFT_OUT_RATIO_MAX = 0.95
 Groups = npt.NDArray[np.int64]
 

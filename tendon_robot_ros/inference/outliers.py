@@ -34,7 +34,8 @@ from .statistics import RARE, chi2_isf, f_isf
 Bools = npt.NDArray[np.bool_]
 Counts = npt.NDArray[np.int64]
 FALSE_OUTLIER_PROBABILITY = RARE  # of the most extreme of all readings, or of all trials
-# [1] trials of a posture and readings of a marker, because of two nobody knows which one is off
+# [1] trials of a posture, and readings of a marker that agree, because of two that do not nobody
+# knows which one is off
 TRIALS_MIN = 3
 # [1] of what the slopes of inputs explain, by which they may be wrong, because the model that they
 # come from may lack an effect
@@ -152,7 +153,7 @@ def trial_residuals(moves: Floats, slopes: Floats) -> _Deviations:
     known = values > NEGLIGIBLE
     squares = np.einsum('qjab,qja->qjb', axes, residual) ** 2 / np.where(known, values, np.inf)
     measured = visible.reshape(Q, J, 3).any(axis=2)
-    enough = measured & (measured.sum(axis=0) >= TRIALS_MIN)
+    enough = measured & (measured.sum(axis=0) > 1)
 
     trials, u = measured.any(axis=1), np.einsum('qrj,qj->qr', fit, y)
     n = int(trials.sum())
