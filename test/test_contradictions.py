@@ -116,6 +116,27 @@ def test_a_reading_that_inputs_of_its_trial_could_have_moved_is_told_from_the_ot
     assert np.mean(told) > {2: 0.8, 3: 0.9}[slopes.shape[1]]
 
 
+def test_of_two_readings_that_contradict_each_other_none_counts(slopes):
+    moves = noise(np.random.default_rng(7), slopes, 3)
+    moves[2, 0, 4] = np.nan
+    moves[2, 1, 4] += 20.0 * NOISE
+    readings, trials = contradicted(moves, slopes)
+    assert np.argwhere(readings).tolist() == [[2, 1, 4], [2, 2, 4]] and not trials.any()
+
+
+def test_inputs_that_hardly_vary_explain_no_wild_reading():
+    """Of three markers in a trial six inputs could explain nearly all, if they were far off."""
+    random, told = np.random.default_rng(1), []
+    slopes = 0.1 * random.normal(size=(POSTURES, 6, 4, 3))
+    for p in range(POSTURES):
+        moves = noise(random, slopes, 5, 1e-3)
+        moves[p, 3, 3] = np.nan
+        moves[p, 3, 2] += 20.0 * NOISE * random.choice([-1.0, 1.0], size=3)
+        readings, trials = contradicted(moves, slopes)
+        told.append(np.argwhere(readings).tolist() == [[p, 3, 2]] and not trials.any())
+    assert all(told)
+
+
 def test_half_of_the_readings_of_a_marker_against_the_other_half_tell_nothing(slopes):
     moves = noise(np.random.default_rng(5), slopes, 8)
     moves[1, ::2, 3] += 40.0 * NOISE

@@ -3,14 +3,15 @@ Readings and trials of a posture that contradict its other trials.
 
 A trial measures y = c + G u + e, where c are the true places of the markers, u the errors of the
 inputs, which displace the markers along the known columns of G, and e the noise of the tracker
-with variance s². Least squares over the trials of a posture gives the residual M y with covariance
-s² M. The deleted residual r of reading i has the squared norm d = r' M_ii^-1 r, distributed as s²
-chi² with rank(M_ii) degrees of freedom (Cook and Weisberg 1982, 2.2): with fewer trials, or where
-inputs explain more of a reading, both its residual and its expectation are smaller. s² is the
-median of all d over the median of chi², which outliers hardly change, and the F distribution gives
-the limit of d. A trial is tested by the squared norm of G u, relative to the mean of the other
-trials: a sum of chi² with weights s² + t² g², where g are the singular values of G, bounded by the
-largest weight times chi². The variance t² of the inputs follows from the median of all trials.
+with variance s². Least squares over the trials of a posture, with inputs that vary by as little as
+usual, gives the residual M y with covariance s² M. The deleted residual r of reading i has the
+squared norm d = r' M_ii^-1 r, distributed as s² chi² with rank(M_ii) degrees of freedom (Cook and
+Weisberg 1982, 2.2): with fewer trials, or where inputs explain more of a reading, both its
+residual and its expectation are smaller. s² is the median of all d over the median of chi², which
+outliers hardly change, and the F distribution gives the limit of d. A trial is tested by the
+squared norm of G u, relative to the mean of the other trials: a sum of chi² with weights s² + t²
+g², where g are the singular values of G, times what the fit keeps of them, bounded by the largest
+weight times chi². The variance t² of the inputs follows from the median of all trials.
 """
 
 from __future__ import annotations
@@ -66,14 +67,17 @@ def contradicted(moves: Floats, slopes: Floats) -> tuple[Bools, Bools]:
     counts, runs = visible.sum(axis=2), visible.any(axis=2).sum(axis=1)
     still = np.nanmax(np.abs(moves), axis=(0, 1, 2), initial=0.0) < RESOLUTION  # never measured
     out, trials = np.zeros_like(visible), np.zeros(visible.shape[:2], dtype=bool)
-    residuals = dict[int, _Deviations]()
     stale = np.flatnonzero(runs >= TRIALS_MIN).tolist()
+    measured = np.where(still, np.nan, moves)
+    residuals = {p: trial_residuals(measured[p], slopes[p]) for p in stale}
+    ratio = _beyond(residuals)[2] if stale else 0.0
     while stale:
         for p in stale:
-            kept = np.where(out[p, ..., None] | still, np.nan, moves[p])
-            residuals[p] = trial_residuals(kept, slopes[p])
+            kept = np.where(out[p, ..., None], np.nan, measured[p])
+            residuals[p] = trial_residuals(kept, slopes[p], ratio)
         stale = []
-        for p, of_readings, of_trials in zip(residuals, *_beyond(residuals), strict=True):
+        beyond = _beyond(residuals)[:2]
+        for p, of_readings, of_trials in zip(residuals, *beyond, strict=True):
             if max(of_readings.max(), of_trials.max()) <= 1.0:
                 continue
             if of_trials.max() >= of_readings.max():
@@ -132,18 +136,27 @@ class _Deviations:
     surely: Floats  # (Q, J) [1] fraction of a size that remains if the slopes are wrong
     moved: Floats  # (Q,) [m²] square of what inputs do, from the mean of the others
     strengths: Floats  # (Q, m) [m²] squares g²; 0: unknown
+    shares: Floats  # (Q, m) [1] of the squares along these directions that the fit keeps
 
 
-def trial_residuals(moves: Floats, slopes: Floats) -> _Deviations:
-    """Fit places and inputs to the trials (Q, J, 3) [m] of a posture; NaN was not seen."""
+def trial_residuals(moves: Floats, slopes: Floats, ratio: float = 0.0) -> _Deviations:
+    """
+    Fit places and inputs to the trials (Q, J, 3) [m] of a posture; NaN was not seen.
+
+    `ratio` [m²] is the variance of the tracker over that of the inputs; 0: these are unknown.
+    """
     Q, J, _ = moves.shape
     g = slopes.reshape(len(slopes), -1).T  # (3 J, m)
     _, strong, directions = np.linalg.svd(g, full_matrices=False)
     g = g @ directions[strong > NEGLIGIBLE * strong.max(initial=RESOLUTION)].T  # (3 J, r)
     visible = np.isfinite(moves.reshape(Q, -1))
     a = visible[..., None] * g
-    fit = np.linalg.pinv(a, rcond=NEGLIGIBLE)  # (Q, r, 3 J)
-    across = visible[..., None] * np.eye(3 * J) - a @ fit  # (Q, 3 J, 3 J): what inputs cannot do
+    if ratio > 0.0:
+        turned = a.swapaxes(1, 2)
+        fit = np.linalg.solve(turned @ a + ratio * np.eye(a.shape[2]), turned)  # (Q, r, 3 J)
+    else:
+        fit = np.linalg.pinv(a, rcond=NEGLIGIBLE)
+    across = visible[..., None] * np.eye(3 * J) - a @ fit  # (Q, 3 J, 3 J): s² over the covariance
     inverse = np.linalg.pinv(across.sum(axis=0), rcond=NEGLIGIBLE, hermitian=True)
     y = np.where(visible, moves.reshape(Q, -1), 0.0)
     y = np.where(visible, y - inverse @ np.einsum('qij,qj->i', across, y), 0.0)
@@ -165,44 +178,49 @@ def trial_residuals(moves: Floats, slopes: Floats) -> _Deviations:
     strengths = np.zeros((Q, len(slopes)))
     if n >= TRIALS_MIN:
         strengths[trials, : a.shape[2]] = np.linalg.svd(a[trials], compute_uv=False) ** 2
+    shares = (strengths / np.maximum(strengths + ratio, RESOLUTION**2)) ** 2
     return _Deviations(
         np.sqrt(squares.sum(axis=2)),
         np.where(enough, known.sum(axis=2), 0),
         np.maximum(1.0 - SLOPES_OFF_FRACTION * ratios, 0.0),
         (by_inputs**2).sum(axis=(1, 2)) * n / max(n - 1, 1),
         strengths,
+        shares,
     )
 
 
-def _beyond(residuals: dict[int, _Deviations]) -> tuple[Floats, Floats]:
+def _beyond(residuals: dict[int, _Deviations]) -> tuple[Floats, Floats, float]:
     """
     Return the deviations of readings (P, Q, J) and trials (P, Q), over their chance limits.
 
-    A reading counts in full only if it is beyond its limit even where the slopes are wrong.
+    A reading counts in full only if it is beyond its limit even where the slopes are wrong. Last
+    is the variance of the tracker over that of the inputs [m²], from the medians of all.
     """
-    sizes, freedom, surely, moved, strengths = (
+    sizes, freedom, surely, moved, strengths, shares = (
         np.stack([getattr(one, field.name) for one in residuals.values()])
         for field in fields(_Deviations)
     )
     sizes = np.maximum(sizes, RESOLUTION)
     readings = sizes / outlier_limits(sizes, freedom)
     readings = np.where(surely * readings > 1.0, readings, surely * readings)
-    weights = _weights(moved, strengths, max(_spread(sizes, freedom), RESOLUTION) ** 2)
+    noise = max(_spread(sizes, freedom), RESOLUTION) ** 2
+    variance = _input_variance(moved, strengths, shares, noise)
+    weights = shares * (noise + variance * strengths)
     many = (strengths > 0.0).sum(axis=2)
     limits = _squared_limits(many) * np.where(many > 0, weights.max(axis=2), 1.0)
-    return readings, np.sqrt(moved / limits)
+    return readings, np.sqrt(moved / limits), noise / max(variance, RESOLUTION**2)
 
 
-def _weights(moved: Floats, strengths: Floats, noise: float) -> Floats:
-    """Return the weights (P, Q, m) [m²] of chi² that squares (P, Q) [m²] have in the median."""
+def _input_variance(moved: Floats, strengths: Floats, shares: Floats, noise: float) -> float:
+    """Return the variance [1] of the inputs by which squares (P, Q) [m²] have their median."""
     known = strengths > 0.0
     judged = known.any(axis=2)
     if not judged.any():
-        return strengths
+        return 0.0
 
     def usual(variance: float) -> float:
         """Return the median square over what it is expected to be (Satterthwaite 1946)."""
-        weights = np.where(known, noise + variance * strengths, 0.0)[judged]
+        weights = (shares * (noise + variance * strengths))[judged]
         total = weights.sum(axis=1)
         freedom = total**2 / (weights**2).sum(axis=1)
         median = total * (1.0 - 2.0 / (9.0 * freedom)) ** 3  # Wilson and Hilferty 1931
@@ -211,7 +229,7 @@ def _weights(moved: Floats, strengths: Floats, noise: float) -> Floats:
     low, high = 0.0, 1.0 if usual(0.0) > 1.0 else 0.0  # 1: an input that is off by itself
     while low < (variance := 0.5 * (low + high)) < high:
         low, high = (variance, high) if usual(variance) > 1.0 else (low, variance)
-    return np.where(known, noise + low * strengths, 0.0)
+    return low
 
 
 # [1] of the postures in which a description may have no equilibrium, else it is refused, because
