@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.errors import InputError, Progress, listener
+from ..common.errors import InputError, NoEquilibriumError, Progress, listener
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
@@ -171,8 +171,8 @@ class Question:
         ------
         InputError
             The noise is not known.
-        ArithmeticError
-            The model has no equilibrium there.
+        NoEquilibriumError
+            The model has none there.
 
         """
         arm, point = self.arm, {} if fit is None else fit.point
@@ -187,7 +187,8 @@ class Question:
         whitener = Whitener(self.dataset, noise, slopes, self.model_error, rough)
         built = imperfections(arm, point, around, near=near)
         if built is None:
-            raise ArithmeticError('no equilibrium where imperfections are linearised')
+            effects = arm.model.implicit_effects
+            raise NoEquilibriumError(f'a posture of {self.dataset.name}', effects, np.inf)
         arm.around = {}
         random = RandomEffects(whitener.white(built.moves).T, built.owners, built.kinds)
         own = {one.name: getattr(self, one.name) for one in fields(Question)}
