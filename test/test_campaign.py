@@ -140,6 +140,7 @@ def test_a_folder_of_other_settings_is_refused(rows, tmp_path):
         ({'seeds': -1}, 'plan.yaml: seeds: expected a whole number from 0 to'),
         ({'seeds': 0, 'clean': 0}, 'plan.yaml: seeds: expected at least one case'),
         ({'designs': [{'postures': 1}]}, r'designs\[0\].postures: expected a whole number from 3'),
+        ({'designs': [{'input': 'pulls'}]}, r'designs\[0\].input: expected one of tension'),
         ({'noise': [{'position': 200}]}, r'noise\[0\].position: expected a finite number from 0'),
         ({'robots': [ROBOT, ROBOT]}, "plan.yaml: robots: expected names that differ, got 'kato"),
         ({'question': 'why'}, "plan.yaml: question: expected one of diagnosis, intervals, got 'w"),
@@ -185,6 +186,13 @@ def test_markers_are_evenly_spaced_up_to_the_tip():
     places = [marker.arc_length for marker in data.fit.markers]
     assert places == pytest.approx([arm.robot.length / 2.0, arm.robot.length])
     assert Design('x').placed(arm.robot) is None
+
+
+@pytest.mark.parametrize('kind', ['tension', 'displacement'])
+def test_inputs_are_of_the_kind_that_the_design_says(kind):
+    setup = plan(designs=[{'postures': 4, 'trials': 2, 'input': kind}]).setup
+    case = Case(setup.arms[0].robot.name, 'none', 0.0, 0, level=0.0)
+    assert setup.simulated(case).fit.input == kind
 
 
 def row(hidden='tip_load', size=1.0, right=True, truth=0.0, number=0):

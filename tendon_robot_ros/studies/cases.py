@@ -49,6 +49,8 @@ class Design:
     postures, trials : int
     markers : int
         Evenly spaced; 0: one at every cell.
+    input : str
+        'tension', or 'displacement' where the wires are driven by their lengths.
     data : DataSet, optional
         Measured as these are instead: its postures, trials and markers.
 
@@ -58,6 +60,7 @@ class Design:
     postures: int = 12
     trials: int = 5
     markers: int = 0
+    input: str = 'tension'
     data: DataSet | None = None
 
     def placed(self, robot: Robot) -> tuple[Marker, ...] | None:
@@ -196,7 +199,7 @@ def postures_of(
     """Return the inputs, what they are and how postures are reached."""
     need, data = needs(case.hidden, catalogue), design.data
     path = 'sequence' if 'history' in need else 'from_straight'
-    kind, count = 'displacement' if 'pulls' in need else 'tension', design.postures
+    kind, count = 'displacement' if 'pulls' in need else design.input, design.postures
     if data is not None:
         path, kind, count = data.path, data.input, len(data.postures)
         if which == 0:

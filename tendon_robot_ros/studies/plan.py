@@ -22,6 +22,7 @@ from ..common.files import write_text
 from ..common.workers import Workers
 from ..common.yaml_reading import Reader, read_yaml
 from ..data import load_dataset
+from ..data.dataset import INPUTS
 from ..effects import Catalogue
 from ..model.versions import UserEffect, catalogue_of, differences, refuse_difference, versions
 from ..robot import dump_robot, load_robot
@@ -94,7 +95,7 @@ class CampaignPlan:
         for arm in setup.arms:
             digests[f'robot {arm.robot.name}'] = _digest(dump_robot(arm.robot), arm.down)
         for i, one in enumerate(setup.designs):
-            counts, data = (one.postures, one.trials, one.markers), one.data
+            counts, data = (one.postures, one.trials, one.markers, one.input), one.data
             measured: list[object] = []
             if data is not None:
                 arrays = data.inputs.tobytes(), data.trials.tobytes()
@@ -174,7 +175,7 @@ def designs_of(top: PlanReader, folder: Path) -> Iterator[Design]:
     """Yield the designs of a plan."""
     names = []
     for entry in top.entries('designs'):
-        entry.only('name', 'postures', 'trials', 'markers', 'data')
+        entry.only('name', 'postures', 'trials', 'markers', 'input', 'data')
         data = entry.content.get('data')
         if data is not None and not isinstance(data, str):
             raise entry.error('data', 'the folder of a data set', data)
@@ -185,7 +186,8 @@ def designs_of(top: PlanReader, folder: Path) -> Iterator[Design]:
         title = f'as {Path(data).name}' if data else f'{postures} postures x {trials} x {placed}'
         names.append(entry.name('name') if entry.has('name') else title)
         measured = load_dataset(folder / data) if data else None
-        yield Design(names[-1], postures, trials, markers, measured)
+        kind = entry.choice('input', INPUTS, 'tension')
+        yield Design(names[-1], postures, trials, markers, kind, measured)
     top.unique('designs', names)
 
 
