@@ -150,7 +150,7 @@ def test_the_search_for_a_load_starts_beside_what_imperfections_explain(arm):
 
 def test_a_wall_chooses_its_postures_and_a_load_acts_in_all():
     assert [ways('contact', postures) for postures in (3, 4, 5, 12)] == [8, 16, 30, 464]
-    assert {ways(name, 12) for name in ('point_load', 'tether')} == {1}
+    assert [ways(name, 12) for name in ('point_load', 'tether')] == [1, 2]
 
 
 @pytest.mark.parametrize(('arm', 'built'), CASES)

@@ -256,13 +256,13 @@ def _fitted(
 
 def ways(name: str, postures: int) -> int:
     """
-    Return in how many ways an effect can choose the postures in which it acts.
+    Return in how many ways an effect is tried beside its parameters, which its p-value counts.
 
-    Its p-value counts its parameters, the place among them, but not this choice. Loads and strings
-    act in all; a plane cuts off some of P points in space in 2 sum_k (P - 1 over k) ways, k from 0
-    to 3 (Cover 1965): every subset of four.
+    A string pulls with a weight or as a spring. A plane cuts off some of P points in space in
+    2 sum_k (P - 1 over k) ways, k from 0 to 3 (Cover 1965): every subset of four.
     """
-    return 2 * sum(math.comb(postures - 1, k) for k in range(4)) if name == 'contact' else 1
+    walls = 2 * sum(math.comb(postures - 1, k) for k in range(4))
+    return {'contact': walls, 'tether': 2}.get(name, 1)
 
 
 def within(free: FreeParameter, reach: float) -> FreeParameter:
