@@ -263,8 +263,8 @@ def _by_accuracy(
     Refit effects, weighed by the declared accuracy, where other effects act as well.
 
     Repeatability alone would give most weight to the postures with most trials and the markers
-    with least noise, although the model error is far larger. The refit is rejected where it
-    raises the error on left-out postures.
+    with least noise, although the model error is far larger. The refit is rejected where it raises
+    the error on left-out postures.
     """
     with suppress(NoEquilibriumError):
         accurate = replace(session, use_accuracy=True).weigh(fit)

@@ -332,11 +332,8 @@ def gather(question: Question) -> Fits:
         beyond = over_reversals(session, singles)
         own = min((r.score for r in beyond if r.names == best.names), default=np.inf)
         likelier = session.score(own) < before - REVERSAL_GAIN_MIN
-        if (
-            beyond is singles
-            and not likelier
-            and own <= first_of_best(beyond).score + APART_FROM_SCORE
-        ):
+        beaten = own > first_of_best(beyond).score + APART_FROM_SCORE
+        if beyond is singles and not (likelier or beaten):
             break
         reversed_once |= beyond is not singles
         singles = beyond
