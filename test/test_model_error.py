@@ -158,3 +158,34 @@ def test_observed_markers_are_in_the_frame_of_the_tracker():
 def test_postures_without_a_prediction_show_no_model_error():
     dataset = measured(ROBOT, {}, count=4)
     assert model_error_of(dataset, np.full(dataset.mean.shape[:2], np.nan), 1e-4) is None
+
+
+def sizes_of_remainder(session):
+    """Return the rms (P,) over the markers of a remainder of 1 m at the tip."""
+    own = session.imperfections.moves[
+        session.imperfections.owners == len(session.random.kinds) - 1
+    ]
+    return np.sqrt(np.square(own).sum(axis=(0, 3)).mean(axis=1))
+
+
+@pytest.mark.parametrize('grows', [True, False])
+@pytest.mark.parametrize('make', [arms.planar, arms.spatial])
+def test_an_error_that_no_effect_explains_grows_with_the_bend_where_measurements_say_so(
+    make, grows
+):
+    robot = replace(make(cells=6), gravity=(0.0, 0.0, 0.0))
+    dataset = measured(robot, count=12)
+    straight = np.zeros_like(dataset.mean)
+    straight[..., 2] = dataset.arc_lengths
+    bent = np.sqrt(np.square(dataset.mean - straight).sum(axis=2).mean(axis=1))
+    walk = np.cumsum(np.random.default_rng(3).normal(size=dataset.mean.shape), axis=1)
+    error = 1e-3 * walk * (bent[:, None, None] / bent.mean() if grows else 1.0)
+    dataset = replace(dataset, positions=dataset.positions + error[:, None])
+    before = Question.of(dataset, robot, CATALOGUE).weigh()
+    even, sizes = map(sizes_of_remainder, (before, before.weigh(before.base_fit())))
+    np.testing.assert_allclose(even, even[0])
+    assert np.square(sizes).mean() == pytest.approx(even[0] ** 2)
+    if grows:
+        assert np.corrcoef(sizes, bent)[0, 1] > 0.95
+    else:
+        np.testing.assert_allclose(sizes, even)

@@ -9,6 +9,7 @@ from arms import planar
 from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.inference.noise import Noise, Whitener, estimate_noise, input_slopes
+from tendon_robot_ros.inference.outliers import find_outliers
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.inference.repeats import repeats
 from tendon_robot_ros.inference.statistics import rms
@@ -92,6 +93,22 @@ def test_wires_that_are_let_out_more_in_a_trial_are_no_noise():
     known = simulated.measure(known, noise=replace(NOISE, trial=0.0, setting=0.0))
     slopes = input_slopes(Predictor(known, robot, CATALOGUE), {})
     assert estimate_noise(known, slopes).trial < 0.002
+
+
+def test_wires_have_as_much_play_where_they_are_not_pulled():
+    robot = planar(effects={'wire_spring': {'compliance': 1e-3}, 'pull_zero': {'offset': 2e-3}})
+    pulls = [[0.0, 0.0], *([pull, -pull] for pull in (-4e-3, -2e-3, 2e-3, 4e-3))]
+    blank = simulated.postures(robot, pulls, trials=12, input='displacement')
+    found, spreads = [], []
+    for seed in range(8):
+        dataset = simulated.measure(blank, noise=replace(NOISE, trial=0.02), seed=seed)
+        predictor = Predictor(dataset, robot, CATALOGUE)
+        found.append(estimate_noise(dataset, input_slopes(predictor, {})).trial)
+        spreads.append(dataset.positions[:, :, -1, 0].std(axis=1, ddof=1))
+        assert not find_outliers(predictor, {}).any
+    assert np.mean(found) == pytest.approx(0.02, rel=0.1)
+    at_rest, *bent = np.sqrt(np.square(spreads).mean(axis=0))
+    assert at_rest == pytest.approx(np.mean(bent), rel=0.25)
 
 
 def whitened(runs=40, **changes):

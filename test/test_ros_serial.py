@@ -100,7 +100,7 @@ def test_a_target_for_the_controller_moves_the_emulated_arm_there(running):
     station = running.station
     controller = start('controller', running.space, running.folder, model=ROBOT)
     try:
-        station.until_code(station.controller, 'holding', timeout=120.0)
+        station.until_code(station.controller, 'holding', 'released', timeout=120.0)
         message = point(-0.08, 0.17)
         station.send('controller/target_point', message)
 

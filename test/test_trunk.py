@@ -17,6 +17,7 @@ from tendon_robot_ros.inference import crossval
 from tendon_robot_ros.inference.crossval import Errors
 from tendon_robot_ros.inference.fitter import Fitter
 from tendon_robot_ros.inference.noise import input_slopes
+from tendon_robot_ros.inference.outliers import find_outliers
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.inference.session import Question
 
@@ -46,6 +47,14 @@ def test_the_known_weight_pulls_its_own_postures_down(both):
 def test_an_input_counts_though_an_error_of_one_sd_leaves_some_postures_without_equilibrium(both):
     predictor = Predictor(both, both.robot, load_catalogue())
     assert (np.abs(input_slopes(predictor, {})).max(axis=(0, 2, 3)) > 1e-3).all()
+
+
+@pytest.mark.parametrize('name', ['base', 'payload_100'])
+def test_a_visit_to_the_rest_is_hardly_ever_a_wild_reading(name):
+    """The play of the wires is the same there as anywhere."""
+    dataset = load_dataset(TRUNK / name)
+    wild = find_outliers(Predictor(dataset, dataset.robot, load_catalogue()), {})
+    assert wild.trials.sum() <= 1 and not wild.readings[dataset.postures.index('c4')].any()
 
 
 def test_every_folder_keeps_its_licence():

@@ -141,8 +141,8 @@ class Diagnose:
             dataset, check, catalogue = options.load_judged(args, show)
             if args.reference:
                 old = options.load_measurements(args.reference, dataset.robot, show)
-                dataset = since(dataset, old, None, catalogue)
-                check = None if check is None else since(check, old, None, catalogue)
+                dataset = since(dataset, old, catalogue)
+                check = None if check is None else since(check, old, catalogue)
             diagnosis = diagnose(dataset, None, catalogue, progress=show)
             if args.trust:
                 from ..diagnosis.trust import SECONDS, assess

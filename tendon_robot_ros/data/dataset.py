@@ -105,8 +105,8 @@ class DataSet(TextResult):
     visits: Visits | None = None  # how the arm came to its postures, where it is of `visits`
     gravity: Vector | None = None  # [m/s²], base frame; None = not given
     position_noise: float | None = None  # [m], 1 sd per coordinate
-    setting_noise: float = 0.0  # [1], relative 1 sd per tendon, shared by a posture's trials
-    trial_noise: float = 0.0  # [1], relative 1 sd per tendon and trial
+    setting_noise: float = 0.0  # [1], relative 1 sd (`noise_scales`), shared by a posture's trials
+    trial_noise: float = 0.0  # [1], relative 1 sd per input and trial
     accuracy: float | None = None  # [m], the error the user can live with
     known: Known = field(default_factory=dict)  # effects that acted here and nowhere else
     parts: tuple[Part, ...] = ()  # the data sets that it was joined from; none: it is one

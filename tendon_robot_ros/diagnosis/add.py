@@ -22,7 +22,7 @@ from ..inference.fit import Fit
 from ..inference.intervals import LoadVector, Value, loads_of, values_with_intervals
 from ..inference.predict import Point, free_parameters
 from ..inference.session import Question, Session
-from ..robot import Robot, RobotLike, load_robot
+from ..robot import Robot, RobotLike
 from .result import EffectFinding, found_values
 from .verdict import P_SINGLE_MIN
 
@@ -191,8 +191,8 @@ def add_effects(
     """
     if isinstance(names, str) or not names or not all(isinstance(name, str) for name in names):
         raise refusal('add', 'the names of effects', names)
-    dataset = load_dataset(dataset)
-    described = dataset.robot if robot is None else load_robot(robot)
+    dataset = load_dataset(dataset, robot)
+    described = dataset.robot
     other = None if check is None else load_dataset(check, described)
     session = Question.of(dataset, described, load_catalogue(catalogue)).prepared()
     dataset = session.dataset

@@ -19,7 +19,7 @@ from ..inference.fitter import BEST_FEW, FAILURES
 from ..inference.outliers import find_outliers
 from ..inference.predict import FreeParameter
 from ..inference.session import NOISE_UNKNOWN, Question, Session
-from ..robot import RobotLike, load_robot
+from ..robot import RobotLike
 from .marker_hypotheses import exchanged_in
 from .next_measurement import propose
 from .report_rows import details_of, finding, fitted_errors, remainder_text, rows_of
@@ -73,12 +73,10 @@ def diagnose(
 
     """
     whole('workers', workers, 1)
-    dataset = load_dataset(dataset)
-    judged = dataset.robot if robot is None else load_robot(robot)
+    dataset = load_dataset(dataset, robot)
     if reference is not None:
-        dataset = since(dataset, reference, judged, catalogue)
-        judged = dataset.robot
-    question = Question.of(dataset, judged, load_catalogue(catalogue), progress)
+        dataset = since(dataset, reference, catalogue)
+    question = Question.of(dataset, dataset.robot, load_catalogue(catalogue), progress)
     measured = int((question.dataset.trials > 0).sum())
     if measured < POSTURES_MIN:
         needed = f'{POSTURES_MIN} or more are needed, six are better'

@@ -44,7 +44,7 @@ from ..inference.intervals import QUANTILE, LoadVector, Value, loads_of, values_
 from ..inference.predict import FreeParameter, Predictor
 from ..inference.session import Question, Session
 from ..inference.statistics import mean_over
-from ..robot import Robot, RobotLike, load_robot
+from ..robot import Robot, RobotLike
 from .add import Addition, more_at_work, settle, with_origin
 from .local_tests import faults_of, local_faults
 from .report_rows import arm_report, left_out
@@ -273,8 +273,8 @@ def improve(
     """
     show = listener(progress)
     whole('workers', workers, 1)
-    dataset = load_dataset(dataset)
-    before = dataset.robot if robot is None else load_robot(robot)
+    dataset = load_dataset(dataset, robot)
+    before = dataset.robot
     other = None if check is None else load_dataset(check, before)
     search = Stepwise(dataset, before, load_catalogue(catalogue))
     if len(search.folds) < GROUPS_MIN:

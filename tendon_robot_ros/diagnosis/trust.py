@@ -22,6 +22,7 @@ from ..inference.noise import Noise
 from ..inference.predict import FreeParameter, Point, Predictor
 from ..inference.session import Question
 from ..inference.statistics import chi2_noncentrality
+from ..robot.inputs import disturbed
 from .select import gather
 from .verdict import ALARM_LEVEL, is_alarming
 
@@ -192,9 +193,10 @@ def simulated_measurements(
     dataset = predictor.dataset
     by_trial = dataset.inputs_by_trial
     P, Q, m = by_trial.shape
-    setting = 1.0 + noise.setting * random.normal(size=(P, 1, m))
-    factors = np.maximum(setting * (1.0 + noise.trial * random.normal(size=(P, Q, m))), 0.0)
-    trials = [predictor.markers(point, by_trial[:, q] * factors[:, q]) for q in range(Q)]
+    setting = noise.setting * random.normal(size=(P, 1, m))
+    trial = noise.trial * random.normal(size=(P, Q, m))
+    used = disturbed(dataset.robot, by_trial, dataset.input, setting, trial)
+    trials = [predictor.markers(point, used[:, q]) for q in range(Q)]
     if any(trial is None for trial in trials):
         return None
     positions = np.stack([trial for trial in trials if trial is not None], axis=1)

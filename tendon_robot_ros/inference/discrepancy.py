@@ -23,7 +23,6 @@ from ..common.errors import DataSetError
 from ..data import DataSet, DataSetLike, load_dataset
 from ..data.dataset import EarlierRecording
 from ..effects import CatalogueLike, load_catalogue
-from ..robot import RobotLike, load_robot
 from .crossval import described_by, predict
 from .noise import NEGLIGIBLE
 from .predict import mean_inputs
@@ -34,10 +33,7 @@ LENGTHS = 12  # [1] that are tried, so that each is within a quarter of the next
 
 
 def since(
-    dataset: DataSetLike,
-    reference: DataSetLike,
-    robot: RobotLike | None = None,
-    catalogue: CatalogueLike | None = None,
+    dataset: DataSetLike, reference: DataSetLike, catalogue: CatalogueLike | None = None
 ) -> DataSet:
     """
     Return a recording without what the arm deviated from its description before.
@@ -47,9 +43,8 @@ def since(
     Parameters
     ----------
     dataset, reference : DataSet, path, or a list of these
-        The new recording and the earlier one, of the same markers under inputs of one kind.
-    robot : Robot, name, path, text or dict, optional
-        The description; default: that of the new recording.
+        The new recording, whose robot describes both, and the earlier one, of the same markers
+        under inputs of one kind.
     catalogue : Catalogue or paths, optional
 
     Raises
@@ -62,8 +57,8 @@ def since(
         The description has no equilibrium in many postures of the reference.
 
     """
-    new, old = load_dataset(dataset), load_dataset(reference)
-    described = new.robot if robot is None else load_robot(robot)
+    new = load_dataset(dataset)
+    described, old = new.robot, load_dataset(reference, new.robot)
     for key in ALIKE:
         if getattr(new, key) != getattr(old, key):
             raise DataSetError(

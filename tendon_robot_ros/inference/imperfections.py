@@ -16,7 +16,7 @@ from functools import cached_property, partial
 import numpy as np
 import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import RESOLUTION, Floats
 from ..data import DataSet
 from ..model.derivatives import DIFFERENCE_STEP, Entries, Move
 from ..model.shape import ShapeBatch
@@ -90,6 +90,19 @@ class Imperfections:
         own = [kind for kind in self.kinds if kind.name != REMAINDER]  # it is the last
         sizes = np.concatenate([members.get(kind.name, np.zeros(len(kind))) for kind in own])
         return np.asarray(np.tensordot(sizes, self.moves[: len(sizes)], 1))
+
+    def growing(self, distances: Floats, steady: float) -> Imperfections:
+        """
+        Return them with a remainder that grows with the distances (P,) of postures from straight.
+
+        `steady` [1] is its sd in a straight posture, relative to the rms over all postures, which
+        stays.
+        """
+        mean = max(float((distances**2).mean()), RESOLUTION**2)
+        factors = np.sqrt(steady**2 + (1.0 - steady**2) * distances**2 / mean)
+        own = self.owners == len(self.kinds) - 1
+        moves = np.where(own[:, None, None, None], factors[:, None, None] * self.moves, self.moves)
+        return Imperfections(self.kinds, moves)
 
 
 def remainders(predictor: Predictor) -> Floats:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from ..common.arrays import RESOLUTION, Floats
 from ..common.estimation import STEP_LENGTHS
 from ..data import DataSet
+from ..robot.inputs import noise_scales
 from .predict import Point, Predictor, SettledShapes, mean_inputs
 from .statistics import chi2_isf, minimum, rms
 
@@ -37,7 +38,7 @@ class Noise:
     position : float [m]
         1 sd per coordinate and trial.
     trial, setting : float [1]
-        Relative 1 sd of a tendon's input, per trial and shared by the trials of a posture.
+        Relative 1 sd of an input (`noise_scales`), per trial, and shared by a posture's trials.
     freedom : float
         Degrees of freedom that the trials gave the estimate; infinite when it was declared.
     source : str
@@ -71,7 +72,7 @@ def input_slopes(predictor: Predictor, point: Point, near: SettledShapes | None 
     if not declared and dataset.trials.max(initial=0) == 1:
         return slopes
     relative = np.hypot(dataset.setting_noise, dataset.trial_noise) or 0.005
-    sizes = np.abs(np.nan_to_num(inputs))
+    sizes = noise_scales(dataset.robot, inputs, dataset.input)
     steps = relative * sizes
     for j in range(inputs.shape[1]):
         for share in STEP_LENGTHS:
@@ -92,10 +93,9 @@ def input_effect(dataset: DataSet, slopes: Floats) -> Floats:
     From where they would be under the mean inputs of the posture, by slopes of `input_slopes`;
     zero where all trials have the same inputs.
     """
-    inputs = np.nan_to_num(mean_inputs(dataset))[:, None]
-    relative = (np.nan_to_num(dataset.inputs_by_trial) - inputs) / np.where(
-        inputs == 0.0, np.inf, np.abs(inputs)
-    )
+    inputs = mean_inputs(dataset)[:, None]
+    sizes = noise_scales(dataset.robot, inputs, dataset.input)
+    relative = np.nan_to_num(dataset.inputs_by_trial - inputs) / np.where(sizes, sizes, np.inf)
     return np.asarray(np.einsum('pqm,pmjc->pqjc', relative, slopes))
 
 
@@ -284,7 +284,7 @@ def likely(
 # standard deviation is then known to 1 / sqrt(2 n) = 13 %
 TRIAL_DOF_MIN = 30
 # [1] of -2 log likelihood, that one more variance gains by chance with a probability of 0.1 %
-SHIFT_GAIN_MIN = chi2_isf(1e-3, 1.0)
+VARIANCE_GAIN_MIN = chi2_isf(1e-3, 1.0)
 
 
 def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
@@ -340,8 +340,8 @@ def _likeliest(likelihood: _TrialLikelihood, may_shift: bool) -> tuple[float, fl
     """
     Return the likeliest standard deviations of position [m], of inputs [1] and of a shift [m].
 
-    The shift is 0 unless it `may_shift` and the likelihood gains by `SHIFT_GAIN_MIN`. All but the
-    first are sought as variances over that of a coordinate.
+    The shift is 0 unless it `may_shift` and the likelihood gains by `VARIANCE_GAIN_MIN`. All but
+    the first are sought as variances over that of a coordinate.
     """
     inputs, (alone, variance) = 0.0, likelihood(0.0, 0.0)
     grid = np.arange(-14.0, 21.0) - math.log(likelihood.strongest)  # there may be several valleys
@@ -359,7 +359,7 @@ def _likeliest(likelihood: _TrialLikelihood, may_shift: bool) -> tuple[float, fl
     if likelihood(0.0, shift)[0] <= likelihood(inputs, shift)[0]:
         inputs = 0.0
     together, variance = likelihood(inputs, shift)
-    if not may_shift or alone - together < SHIFT_GAIN_MIN:
+    if not may_shift or alone - together < VARIANCE_GAIN_MIN:
         return position, trial, 0.0
     return math.sqrt(variance), math.sqrt(inputs * variance), math.sqrt(shift * variance)
 

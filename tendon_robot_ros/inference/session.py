@@ -22,15 +22,23 @@ from .fit import Fit, Nuisance
 from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
 from .imperfections import REMAINDER, BuiltPredictor, Imperfections, imperfections
 from .marginal import RandomEffects
-from .noise import Noise, Whitener, estimate_noise, input_slopes, relative_error
+from .noise import (
+    VARIANCE_GAIN_MIN,
+    Noise,
+    Whitener,
+    estimate_noise,
+    input_slopes,
+    relative_error,
+)
 from .outliers import Outliers, find_outliers, without_unsettled
 from .predict import CELLS, Point, Predictor
 from .repeats import Repeats, repeats
-from .statistics import TIE_SCORE, mean_over
+from .statistics import TIE_SCORE, mean_over, minimum
 
 # [1] postures of a long recording that fits use, because a fit takes its time for each, and the
 # errors of more are alike
 POSTURES_MAX = 100
+STEADY_PRECISION = 0.05  # [1] because postures estimate it no better
 NEAR_SCORE = 60.0  # [1] of deviance + 2 k behind the best: docs/inference.md
 NOISE_UNKNOWN = (
     'one trial per posture and no position_noise in dataset.yaml: repeat the postures, or declare '
@@ -190,7 +198,9 @@ class Question:
             effects = arm.model.implicit_effects
             raise NoEquilibriumError(f'a posture of {self.dataset.name}', effects, np.inf)
         arm.around = {}
-        random = RandomEffects(whitener.white(built.moves).T, built.owners, built.kinds)
+        if fit is not None and fit.built.sizes[-1:].any():
+            built = _growing(built, fit, self.dataset, whitener)
+        random = _whitened(built, whitener)
         own = {one.name: getattr(self, one.name) for one in fields(Question)}
         return Session(**own, noise=noise, whitener=whitener, imperfections=built, random=random)
 
@@ -215,6 +225,31 @@ class Question:
         """Predictor of the description on the whole data set, and its markers (P, J, 3) [m]."""
         predictor = Predictor(self.whole, self.robot, self.catalogue)
         return predictor, predictor.markers({})
+
+
+def _whitened(built: Imperfections, whitener: Whitener) -> RandomEffects:
+    return RandomEffects(whitener.white(built.moves).T, built.owners, built.kinds)
+
+
+def _growing(
+    built: Imperfections, fit: Fit, dataset: DataSet, whitener: Whitener
+) -> Imperfections:
+    """
+    Return imperfections whose remainder grows with the distance from straight, if likelier.
+
+    A model that is wrong by a fraction of what it says is more wrong the farther the arm bends.
+    """
+    straight = np.array([marker.offset for marker in dataset.markers])
+    straight[:, 2] += dataset.arc_lengths
+    distances = np.sqrt(np.square(fit.markers - straight).sum(axis=2).mean(axis=1))
+    off = whitener.white(dataset.mean - fit.markers)
+
+    def cost(steady: float) -> float:
+        random = _whitened(built.growing(distances, steady), whitener)
+        return random.estimate(off, np.zeros((len(off), 0)), fit.built.sizes).deviance
+
+    steady, least = minimum(cost, 0.0, 1.0, STEADY_PRECISION)
+    return built.growing(distances, steady) if cost(1.0) - least > VARIANCE_GAIN_MIN else built
 
 
 def predictors_of(

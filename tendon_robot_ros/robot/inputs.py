@@ -1,4 +1,4 @@
-"""Commands of a caller: tensions and wire pulls, by name or in order, checked."""
+"""Tensions and wire pulls: those of a caller, by name or in order, checked; and their noise."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import InputError, named_columns, refusal, short, suggestion
 from .description import Robot
+from .estimates import natural_sizes
 
 TensionsLike = Mapping[str, float] | Sequence[float] | Floats
 
@@ -151,3 +152,22 @@ def _in_order(what: str, robot: Robot, values: Any, absent: float | None) -> Any
     if absent is None:
         return np.column_stack([np.asarray(named[name], dtype=float) for name in robot.inputs])
     return [named.get(name, absent) for name in robot.inputs]
+
+
+def noise_scales(robot: Robot, inputs: Floats, kind: str) -> Floats:
+    """
+    Return what the relative noise of inputs (..., m) is relative to, in their unit.
+
+    Of tensions their own size, because a load cell errs by a gain. Of wire pulls the radius of the
+    outermost tendon, because the play of a wire does not grow with what is wound: 0.01 is then
+    about 0.01 rad of bend. 0 where a wire is slack.
+    """
+    if kind == 'tension':
+        return np.abs(inputs)
+    return np.where(np.isnan(inputs), 0.0, natural_sizes(robot)['radius'])
+
+
+def disturbed(robot: Robot, inputs: Floats, kind: str, setting: Floats, trial: Floats) -> Floats:
+    """Return inputs (..., m) with two relative errors; a tension is never below zero."""
+    factors = np.maximum((1.0 + setting) * (1.0 + trial), 0.0)
+    return inputs + noise_scales(robot, inputs, kind) * (factors - 1.0)

@@ -24,7 +24,7 @@ from ..data.arrays import markers_of
 from ..data.dataset import INPUTS, PATHS
 from ..data.visits import split_by_order
 from ..robot import RobotLike
-from ..robot.inputs import input_rows
+from ..robot.inputs import disturbed, input_rows
 from .plant import Plant, make_plant
 
 
@@ -33,8 +33,8 @@ class SimulatedNoise:
     """One standard deviation each."""
 
     position: float = 2e-4  # [m] per coordinate and trial
-    setting: float = 0.002  # [1] of a tendon's input, shared by the trials of a posture
-    trial: float = 0.004  # [1] of a tendon's input, per trial
+    setting: float = 0.002  # [1] of an input (`noise_scales`), shared by the trials of a posture
+    trial: float = 0.004  # [1] of an input, per trial
 
     def __post_init__(self) -> None:
         """
@@ -49,10 +49,6 @@ class SimulatedNoise:
         bounds = {'position': (0.1, 'm'), 'setting': (0.5, '1'), 'trial': (0.5, '1')}
         for key, (high, unit) in bounds.items():
             number(f'noise: {key}', getattr(self, key), 0.0, high, unit)
-
-    def factors(self, setting: Floats, trial: Floats) -> Floats:
-        """Return factors on the inputs, never below zero, from standard normal draws of both."""
-        return np.maximum((1.0 + self.setting * setting) * (1.0 + self.trial * trial), 0.0)
 
 
 def simulate(
@@ -136,12 +132,13 @@ def simulate(
         split = split_by_order(labels, order, trial, np.ones(len(order), dtype=bool))
         command, trial = split.command[split.posture], split.visits.trials
         setting = random.normal(size=(len(split.postures), rows.shape[1]))[split.posture]
-        used = rows[command] * noise.factors(setting, random.normal(size=rows[command].shape))
+        each = noise.trial * random.normal(size=rows[command].shape)
+        used = disturbed(robot, rows[command], kind, noise.setting * setting, each)
         positions = np.empty((int(command.max()) + 1, int(trial.max()) + 1, len(chosen), 3))
         positions[command, trial] = observed(used[None], True)[0]
     else:
         setting, trial = random.normal(size=rows.shape), random.normal(size=(trials, *rows.shape))
-        used = rows * noise.factors(setting, trial)  # (Q, P, m)
+        used = disturbed(robot, rows, kind, noise.setting * setting, noise.trial * trial)
         positions = observed(used, path == 'sequence').swapaxes(0, 1)
     positions = positions + random.normal(0.0, noise.position, positions.shape)
     dataset = DataSet(

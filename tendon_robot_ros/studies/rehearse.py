@@ -35,6 +35,7 @@ from ..investigation.loop import Investigation
 from ..investigation.measuring import BrokenMeasurementError, PostureMeasured
 from ..report.diagnosis_text import TRIALS_ADVISED
 from ..robot import Robot, load_robot
+from ..robot.inputs import disturbed
 from ..robot.keep_out import KeepOut, load_keep_out
 from ..simulation.hidden import Workmanship
 from ..simulation.measurements import SimulatedNoise
@@ -112,10 +113,11 @@ class SimulatedArm:
         self.visited.append(np.array(inputs))
         if self._random.random() < self.lost:
             raise BrokenMeasurementError('the tracker lost the arm')
-        setting = self._random.normal(size=inputs.shape)
-        factors = self.noise.factors(setting, self._random.normal(size=(trials, *inputs.shape)))
+        setting, trial = self.input_noise
+        setting = setting * self._random.normal(size=inputs.shape)
+        trial = trial * self._random.normal(size=(trials, *inputs.shape))
         try:
-            mean = self.markers_after(inputs * factors)
+            mean = self.markers_after(disturbed(self.robot, inputs, self.input, setting, trial))
         except (NoEquilibriumError, InputError) as error:
             raise BrokenMeasurementError(f'the arm does not stand: {error}') from None
         noise = self._random.normal(0.0, self.position_noise, mean.shape)

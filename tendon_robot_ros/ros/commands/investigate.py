@@ -101,7 +101,7 @@ class RunningArm(Pilot):
     _own: Model  # of the controller
     robot: Robot  # its description
     markers: Sequence[Marker]
-    input_noise = MonitorSettings().setting_noise, 0.0  # relative and absolute 1 sd of an input
+    input_noise = MonitorSettings().setting_noise, 0.0  # relative 1 sd of an input: setting, trial
 
     def __init__(
         self, args: argparse.Namespace, ending: Ending, namespace: str | None = None
