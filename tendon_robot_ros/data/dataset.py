@@ -258,7 +258,8 @@ class DataSet(TextResult):
         position_noise : float, optional
             [m] 1 sd per coordinate of the tracker.
         setting_noise, trial_noise : float
-            [1] relative 1 sd of each input, shared by a posture's trials, and per trial.
+            [1] relative 1 sd of each input, shared by a posture's trials, and per trial; of wire
+            pulls relative to the distance of the outermost tendon from the backbone.
         accuracy : float, optional
             [m] the error that you can live with.
 
