@@ -113,9 +113,8 @@ class SimulatedArm:
         self.visited.append(np.array(inputs))
         if self._random.random() < self.lost:
             raise BrokenMeasurementError('the tracker lost the arm')
-        setting, trial = self.input_noise
-        setting = setting * self._random.normal(size=inputs.shape)
-        trial = trial * self._random.normal(size=(trials, *inputs.shape))
+        setting = self.noise.setting * self._random.normal(size=inputs.shape)
+        trial = self.noise.trial * self._random.normal(size=(trials, *inputs.shape))
         try:
             mean = self.markers_after(disturbed(self.robot, inputs, self.input, setting, trial))
         except (NoEquilibriumError, InputError) as error:
