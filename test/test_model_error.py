@@ -182,7 +182,7 @@ def test_an_error_that_no_effect_explains_grows_with_the_bend_where_measurements
     error = 1e-3 * walk * (bent[:, None, None] / bent.mean() if grows else 1.0)
     dataset = replace(dataset, positions=dataset.positions + error[:, None])
     before = Question.of(dataset, robot, CATALOGUE).weigh()
-    even, sizes = map(sizes_of_remainder, (before, before.weigh(before.base_fit())))
+    even, sizes = map(sizes_of_remainder, (before, before.growing(before.base_fit())))
     np.testing.assert_allclose(even, even[0])
     assert np.square(sizes).mean() == pytest.approx(even[0] ** 2)
     if grows:

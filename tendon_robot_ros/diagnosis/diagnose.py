@@ -157,7 +157,7 @@ def _weighed(question: Question, frees: tuple[FreeParameter, ...] = ()) -> tuple
     """Return a session with weights taken at a fit, and this fit."""
     session = question.weigh()
     fit = session.fitter.fit(frees)
-    return session.weigh(fit), fit
+    return session.weigh(fit).growing(fit), fit
 
 
 def _weighed_against(session: Session, mistake: Mistake, diagnosis: Diagnosis) -> Diagnosis:

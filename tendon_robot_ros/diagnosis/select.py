@@ -315,7 +315,7 @@ def gather(question: Question) -> Fits:
         best = first_of_best(singles)
         before = session.score(best.score)
         far = base.deviance > best.score + NEAR_SCORE
-        session = session.weigh(best.fit)
+        session = session.weigh(best.fit).growing(best.fit)
         if far:  # it cannot win: one start is enough
             try:
                 base = session.fitter.fit((), base)
@@ -406,7 +406,7 @@ def _pruned(session: Session, ranked: Ranked) -> Ranked:
 def reweighed(session: Session, ranked: Ranked) -> tuple[Session, Ranked]:
     """Refit a candidate with noise and weights taken at its own fit."""
     for _ in range(2):
-        session = session.weigh(ranked.fit)
+        session = session.weigh(ranked.fit).growing(ranked.fit)
         ranked = session.fit_all([ranked.candidate], {ranked.candidate.label: ranked.fit})[0]
     return session, ranked
 

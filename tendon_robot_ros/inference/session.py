@@ -198,8 +198,6 @@ class Question:
             effects = arm.model.implicit_effects
             raise NoEquilibriumError(f'a posture of {self.dataset.name}', effects, np.inf)
         arm.around = {}
-        if fit is not None and fit.built.sizes[-1:].any():
-            built = _growing(built, fit, self.dataset, whitener)
         random = _whitened(built, whitener)
         own = {one.name: getattr(self, one.name) for one in fields(Question)}
         return Session(**own, noise=noise, whitener=whitener, imperfections=built, random=random)
@@ -231,27 +229,6 @@ def _whitened(built: Imperfections, whitener: Whitener) -> RandomEffects:
     return RandomEffects(whitener.white(built.moves).T, built.owners, built.kinds)
 
 
-def _growing(
-    built: Imperfections, fit: Fit, dataset: DataSet, whitener: Whitener
-) -> Imperfections:
-    """
-    Return imperfections whose remainder grows with the distance from straight, if likelier.
-
-    A model that is wrong by a fraction of what it says is more wrong the farther the arm bends.
-    """
-    straight = np.array([marker.offset for marker in dataset.markers])
-    straight[:, 2] += dataset.arc_lengths
-    distances = np.sqrt(np.square(fit.markers - straight).sum(axis=2).mean(axis=1))
-    off = whitener.white(dataset.mean - fit.markers)
-
-    def cost(steady: float) -> float:
-        random = _whitened(built.growing(distances, steady), whitener)
-        return random.estimate(off, np.zeros((len(off), 0)), fit.built.sizes).deviance
-
-    steady, least = minimum(cost, 0.0, 1.0, STEADY_PRECISION)
-    return built.growing(distances, steady) if cost(1.0) - least > VARIANCE_GAIN_MIN else built
-
-
 def predictors_of(
     dataset: DataSet, robot: Robot, catalogue: Catalogue
 ) -> tuple[Predictor, Predictor]:
@@ -269,6 +246,29 @@ class Session(Question):
     whitener: Whitener
     imperfections: Imperfections
     random: RandomEffects
+
+    def growing(self, fit: Fit) -> Session:
+        """
+        Let the remainder grow with the distance from straight, if that is likelier at a fit.
+
+        A model that is wrong by a fraction of what it says is more wrong where the arm bends more.
+        """
+        if not fit.built.sizes[-1:].any():
+            return self
+        straight = np.array([marker.offset for marker in self.dataset.markers])
+        straight[:, 2] += self.dataset.arc_lengths
+        distances = np.sqrt(np.square(fit.markers - straight).sum(axis=2).mean(axis=1))
+        off = self.whitener.white(self.dataset.mean - fit.markers)
+
+        def cost(steady: float) -> float:
+            random = _whitened(self.imperfections.growing(distances, steady), self.whitener)
+            return random.estimate(off, np.zeros((len(off), 0)), fit.built.sizes).deviance
+
+        steady, least = minimum(cost, 0.0, 1.0, STEADY_PRECISION)
+        if cost(1.0) - least < VARIANCE_GAIN_MIN:
+            return self
+        built = self.imperfections.growing(distances, steady)
+        return replace(self, imperfections=built, random=_whitened(built, self.whitener))
 
     def without(self, outliers: Outliers) -> Session:
         """Exclude measurements that the other trials contradict, and weigh the others."""
