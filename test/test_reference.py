@@ -14,6 +14,9 @@ from tendon_robot_ros.data import save_dataset
 from tendon_robot_ros.inference.discrepancy import since
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.robot import dump_robot
+from tendon_robot_ros.simulation.hidden import Workmanship
+from tendon_robot_ros.simulation.measurements import simulate
+from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
 
 QUIET = replace(NOISE, position=1e-6, trial=0.0, setting=0.0)
@@ -89,6 +92,21 @@ def test_a_load_that_is_new_is_named_alone_on_an_arm_that_lacks_an_effect(arm):
         assert own.low <= value <= own.high
         assert own.high - own.low < 0.5 * LOAD['tip_load']['force_x']
     assert found.details['reference']['data'] == old.name
+
+
+@pytest.mark.parametrize(('arm', 'seed'), [('planar', 3), ('spatial', 5)])
+@pytest.mark.parametrize('kind', ['tension', 'displacement'])
+@pytest.mark.long
+def test_what_a_load_changes_of_an_arm_as_built_is_no_second_effect(arm, seed, kind):
+    robot = ARMS[arm]
+    inputs = default_postures(robot, 10, seed, kind)
+    old, new = (
+        simulate(make_plant(robot, LACKS | change, seed=seed, work=Workmanship()), inputs,
+                 input=kind, seed=trial)
+        for trial, change in enumerate(({}, LOAD))
+    )  # fmt: skip
+    found = diagnose(new, reference=old)
+    assert (found.verdict, [e.name for e in found.effects]) == ('missing_effect', ['tip_load'])
 
 
 @pytest.mark.parametrize('arm', ARMS)

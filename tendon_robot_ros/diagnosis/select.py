@@ -258,8 +258,11 @@ class Fits:
         """
         Add a second effect, and a third, while the gain is significant; empty: one is enough.
 
-        Imperfections may explain as much as a second effect: the likelihood compares both.
+        Imperfections may explain as much as a second effect: the likelihood compares both. What an
+        adequate effect leaves of a change is no more than deviations of the arm may change by.
         """
+        if self.session.dataset.reference is not None:
+            return []
         current = best
         while len(current.names) < EFFECTS_MAX:
             session, trials = self.session, len(self.session.candidates)
