@@ -71,8 +71,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--trials', type=int, default=5, metavar='N', help='trials of a posture (default: 5)')
     default = f'position={1e3 * usual.position:g},setting={usual.setting:g},trial={usual.trial:g}'
     noise = (
-        '1 sd of position [mm], setting (shared by the trials of a posture), trial (relative; '
-        f'of wire lengths to the outermost tendon); default: {default}'
+        '1 sd of position [mm] and of the inputs, setting (shared by the trials of a posture) and '
+        'trial: relative to a tension, or of a wire length to the distance of the outermost '
+        f'tendon from the backbone; default: {default}'
     )
     add('--noise', default='', metavar='NAME=VALUE,...', help=noise)
     add('--undeclared', action='store_true', help='do not write the noise into dataset.yaml')

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..effects import Catalogue
-from ..inference.candidates import Candidate, Ranked, gain_p_value
+from ..inference.candidates import Candidate, Ranked, gain_p_value, likelihood_ratio_p_value
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
 from ..inference.search import DIFFERENCE_STEP, LADDER, sized
@@ -258,16 +258,17 @@ class Fits:
         """
         Add a second effect, and a third, while the gain is significant; empty: one is enough.
 
-        Imperfections may explain as much as a second effect: the likelihood compares both. What an
-        adequate effect leaves of a change is no more than deviations of the arm may change by.
+        Imperfections may explain as much as a second effect: the likelihood compares both. So may
+        deviations of the arm that have changed since an earlier recording.
         """
-        if self.session.dataset.reference is not None:
-            return []
         current = best
         while len(current.names) < EFFECTS_MAX:
             session, trials = self.session, len(self.session.candidates)
             larger = extended(session, current)
             chances = gain_p_values(session, current.fit, larger)
+            if session.dataset.reference is not None:
+                beside = beside_deviations(session, current.fit, larger)
+                chances = list(map(max, chances, beside))
             more = [
                 r
                 for r, by_chance in zip(larger, chances, strict=True)
@@ -299,6 +300,20 @@ def gain_p_values(session: Session, base: Fit, ranked: Sequence[Ranked]) -> list
         return 0.5 * p_value if fit.one_sided else p_value
 
     return [chance(r.fit) if r.held_out < held else 1.0 for r in ranked]
+
+
+def beside_deviations(session: Session, base: Fit, ranked: Sequence[Ranked]) -> list[float]:
+    """Return the p-value of each gain, deviations having changed by as much as is allowed."""
+    allowed = np.array([kind.allowed for kind in session.imperfections.kinds])
+
+    def chi2(fit: Fit) -> float:
+        off = session.whitener.white(session.dataset.mean - fit.markers)
+        return session.random.misfit(off, allowed)
+
+    return [
+        likelihood_ratio_p_value(chi2(base) - chi2(r.fit), max(r.fit.rank - base.rank, 1))
+        for r in ranked
+    ]
 
 
 def gather(question: Question) -> Fits:

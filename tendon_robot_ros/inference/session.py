@@ -38,7 +38,7 @@ from .statistics import TIE_SCORE, mean_over, minimum
 # [1] postures of a long recording that fits use, because a fit takes its time for each, and the
 # errors of more are alike
 POSTURES_MAX = 100
-STEADY_PRECISION = 0.05  # [1] because postures estimate it no better
+STEADY_PRECISION = 0.05  # [1] because a dozen postures tell a size to a tenth
 NEAR_SCORE = 60.0  # [1] of deviance + 2 k behind the best: docs/inference.md
 NOISE_UNKNOWN = (
     'one trial per posture and no position_noise in dataset.yaml: repeat the postures, or declare '

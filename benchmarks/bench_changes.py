@@ -1,0 +1,85 @@
+"""
+What is said to have changed between two recordings of one arm, of which the description is wrong.
+
+Arms of ten cells as built, planar and spatial, that stiffen as they bend, which their description
+lacks: nothing changes, a load is hung to the tip, the backbone gets stiffer, or a load is hung to
+the tip and the tracker is moved.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+from bench_pushes import arm
+from machine import machine, tell
+
+from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.robot import Robot
+from tendon_robot_ros.robot.estimates import natural_sizes
+from tendon_robot_ros.simulation.hidden import Workmanship
+from tendon_robot_ros.simulation.measurements import simulate
+from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.workspace.postures import INPUTS, default_postures
+
+LACKS = {'nonlinear_stiffness': {'cubic': 3.0}}  # in both recordings
+POSTURES = 12
+FORCE = 0.3  # [1] of the force that bends the arm by a radian
+
+
+def changes(robot: Robot) -> dict[str, dict[str, dict[str, float]]]:
+    """Return what has changed, by name."""
+    load = {'tip_load': {'force_x': FORCE * natural_sizes(robot)['force']}}
+    moved = {'base_misalignment': {'shift_x': 0.02 * robot.length}}
+    stiff = {'backbone_stiffness': {'relative_change': 0.15}}
+    return {'nothing': {}, 'load': load, 'stiffer': stiff, 'load and tracker': load | moved}
+
+
+def said(robot: Robot, change: dict[str, dict[str, float]], kind: str, seed: int) -> str:
+    """Return the verdict on a drawn arm, and whether the interval of a load holds."""
+    rows = default_postures(robot, POSTURES, seed, kind, 'from_straight')
+    old, new = (
+        simulate(
+            make_plant(robot, LACKS | hidden, seed=seed, work=Workmanship()),
+            rows,
+            input=kind,
+            seed=2 * seed + trial,
+        )
+        for trial, hidden in enumerate(({}, change))
+    )
+    found = diagnose(new, reference=old)
+    names = found.cannot_tell_apart or [effect.name for effect in found.effects]
+    text = ' + '.join((found.verdict.value, *names))
+    if 'tip_load' in change and 'tip_load' in names:
+        force = next(one for one in found.candidates if one.name == 'tip_load').parameters[
+            'force_x'
+        ]
+        holds = force.low <= change['tip_load']['force_x'] <= force.high
+        text += ', interval ' + ('holds' if holds else 'does not hold')
+    return text
+
+
+def main() -> int:
+    """Count what is said of drawn arms."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--cases', type=int, default=6, help='of each change and arm; default 6')
+    parser.add_argument('--robots', nargs='+', default=['kato_10_1_single', 'spatial_3'])
+    parser.add_argument('--input', choices=INPUTS, default='tension')
+    parser.add_argument('--json', type=Path)
+    options = parser.parse_args()
+    figures: dict[str, object] = {}
+    for name in options.robots:
+        robot = replace(arm(name), gravity=(0.0, 0.0, 0.0))
+        for key, change in changes(robot).items():
+            verdicts = [said(robot, change, options.input, seed) for seed in range(options.cases)]
+            figures[f'{name}, {key}'] = dict(Counter(verdicts))
+            print(f'{name}, {key}: {figures[f"{name}, {key}"]}', file=sys.stderr, flush=True)
+    tell(figures | {'machine': machine()}, options.json)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
