@@ -37,23 +37,11 @@ def turned_in_plane(vector: Floats, angle: Floats) -> Floats:
     return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
-def rotated(vector: Floats, rotation: Floats) -> Floats:
-    """Rotate a unit vector by a rotation vector [rad] (Rodrigues' formula)."""
-    angle = float(np.linalg.norm(rotation))
-    if angle < 1e-12:
-        return vector
-    axis = rotation / angle
-    turned: Floats = (
-        vector * np.cos(angle)
-        + np.cross(axis, vector) * np.sin(angle)
-        + axis * (axis @ vector) * (1.0 - np.cos(angle))
-    )
-    return turned / np.linalg.norm(turned)
-
-
 def from_rotation_vector(vector: Sequence[float] | Floats) -> Floats:
     """Return the rotation matrix (3, 3) of a rotation vector [rad]."""
-    return np.array([rotated(axis, np.asarray(vector, dtype=float)) for axis in np.eye(3)]).T
+    half = 0.5 * np.asarray(vector, dtype=float)
+    angle = float(np.linalg.norm(half))
+    return from_quaternion((*(np.sinc(angle / np.pi) * half), math.cos(angle)))
 
 
 def towards(direction: Floats) -> Floats:

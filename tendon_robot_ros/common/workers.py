@@ -182,8 +182,7 @@ class Workers(contextlib.AbstractContextManager['Workers']):
 def _call(task: tuple[Prepare | None, Work, Any]) -> Any:
     """Compute a chunk in a worker."""
     prepare, work, chunk = task
-    if prepare is not None:
-        _prepared(prepare)
+    _prepared(prepare)
     with one_thread():
         return work(chunk)
 
@@ -195,82 +194,76 @@ def _timed(task: tuple[Work, Any]) -> tuple[Any, float]:
 
 
 @lru_cache(maxsize=8)
-def _prepared(prepare: Prepare) -> None:
-    prepare()
+def _prepared(prepare: Prepare | None) -> None:
+    if prepare is not None:
+        prepare()
 
 
 class _Processes:
     def __init__(self, count: int, prepare: Prepare | None) -> None:
         self.slots = count  # chunks that it should have at a time
-        self.free = [_Slot(prepare) for _ in range(count)]
-        self.busy: dict[Future[Any], _Slot] = {}
+        self.processes = [_Process(prepare) for _ in range(count)]
 
     def submit(self, work: Work, chunk: Any) -> Future[Any]:
-        if len(self.busy) == self.slots:  # at work on what was dropped because time was over
-            wait(self.busy, return_when=FIRST_COMPLETED)
-        for future in [future for future in self.busy if future.done()]:
-            self.free.append(self.busy.pop(future))
-        slot = self.free.pop()
-        try:
-            future = slot.pool.submit(work, chunk)
-        except BrokenProcessPool:  # died while it was idle
-            slot.restart()
-            future = slot.pool.submit(work, chunk)
-        self.busy[future] = slot
-        return future
+        # all are at work where what was dropped, because time was over, is not ready
+        wait([one.task for one in self.processes], return_when=FIRST_COMPLETED)
+        return next(one for one in self.processes if one.task.done()).submit(work, chunk)
 
     def is_loss(self, error: BaseException) -> bool:
-        """Return whether an error means that a worker died; if so, replace the worker."""
-        for future, slot in self.busy.items():
-            if future.done() and isinstance(future.exception(), BrokenProcessPool):
-                slot.restart()
-                self.free.append(self.busy.pop(future))
-                break
+        """Return whether an error means that a worker died."""
         return isinstance(error, BrokenProcessPool)
 
     def close(self) -> None:
-        for slot in [*self.free, *self.busy.values()]:
-            slot.end()
+        for process in self.processes:
+            process.end()
 
 
-class _Slot:
-    """A process, started anew when it has died."""
+class _Process:
+    """A process with at most one chunk, started anew when it has died."""
 
     def __init__(self, prepare: Prepare | None) -> None:
         self.prepare = prepare
-        self.restart()
+        self.task: Future[Any] = Future()  # the last one
+        self.task.set_result(None)
+        self.start()
 
-    def restart(self) -> None:
+    def start(self) -> None:
         self.pool = ProcessPoolExecutor(
             1,
             mp_context=multiprocessing.get_context('spawn'),
             initializer=_begin,
-            initargs=(os.getpid(),),
+            initargs=(os.getpid(), self.prepare),
         )
-        self.process = self.pool.submit(_load, self.prepare)
+        self.identity = self.pool.submit(os.getpid)
+
+    def submit(self, work: Work, chunk: Any) -> Future[Any]:
+        try:
+            self.task = self.pool.submit(work, chunk)
+        except BrokenProcessPool:  # it has died
+            self.start()
+            self.task = self.pool.submit(work, chunk)
+        return self.task
 
     def end(self) -> None:
         """Kill the process; its unfinished result is dropped."""
-        if self.process.cancel():
+        if self.identity.cancel():
             self.pool.shutdown()
             return
         with contextlib.suppress(BrokenProcessPool, ProcessLookupError):
-            os.kill(self.process.result(), signal.SIGKILL)
+            os.kill(self.identity.result(), signal.SIGKILL)
         self.pool.shutdown(cancel_futures=True)
 
 
-def _begin(parent: int) -> None:
-    """Leave Ctrl-C to the parent, and end with it."""
+def _begin(parent: int, prepare: Prepare | None) -> None:
+    """
+    Leave Ctrl-C to the parent, and end with it.
+
+    What the first chunk needs is imported while the parent opens its table.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent(parent, signal.SIGKILL)
-
-
-def _load(prepare: Prepare | None) -> int:
-    """Import what the first chunk needs while the parent opens its table; return the process."""
     with contextlib.suppress(Exception):  # raised again with the first chunk
-        if prepare is not None:
-            _prepared(prepare)
-    return os.getpid()
+        _prepared(prepare)
 
 
 def _check_certificates(address: str) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.estimation import ITERATIONS_MAX
-from ..common.rotations import rotated
+from ..common.rotations import from_rotation_vector
 from ..drivers.safety import CYCLE_MAX_S, approach, bounded
 from ..model.derivatives import TipStiffness
 from ..model.inverse import POSITION_TOLERANCE_M, TOLERANCE_COST_M2, WORTHWHILE_MAX, judged
@@ -178,7 +178,7 @@ class FollowTwist(Mode):
             linear, angular = self.axes @ linear, self.axes @ angular
         assert self.position is not None
         self.position = self.position + linear * self._due
-        self.direction = rotated(self.direction, angular * self._due)
+        self.direction = from_rotation_vector(angular * self._due) @ self.direction
         self._due = 0.0
         oriented = state.settings.hold_direction or bool(angular.any())
         return Target(self.position, self.direction if oriented else None)

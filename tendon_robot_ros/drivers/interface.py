@@ -6,6 +6,7 @@ import abc
 import importlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntFlag
 from itertools import compress
 from typing import Any, NamedTuple, Self
 
@@ -16,7 +17,7 @@ from ..common.errors import DriverError, MissingExtraError
 from ..common.yaml_reading import ConfigFields
 from ..robot import Robot
 
-MODES = ('tension', 'pull')
+MODES = ('tension', 'pull')  # in the order of docs/serial_protocol.md, which numbers them
 # [s] between two commands where a driver or a check itself moves motors, so that they go as
 # smoothly as under a controller at 100 Hz
 CYCLE_S = 0.01
@@ -89,8 +90,20 @@ class Fault:
     inputs: tuple[str, ...] = ()
 
 
+class FaultBit(IntFlag):
+    """A bit of a motor's status: a fault that it latches, and the words for it."""
+
+    words: str
+
+    def __new__(cls, value: int, words: str = '') -> Self:
+        """Take the bit and its words."""
+        bit = int.__new__(cls, value)
+        bit._value_, bit.words = value, words
+        return bit
+
+
 def latched(
-    where: str, words: Mapping[Any, str], status: int, inputs: tuple[str, ...]
+    where: str, bits: type[FaultBit], status: int, inputs: tuple[str, ...]
 ) -> Iterator[Fault]:
     """
     Yield the faults that a motor has latched, by the bits of its status.
@@ -99,16 +112,16 @@ def latched(
     ----------
     where : str
         Port and motor; every message begins with it.
-    words : mapping of IntFlag to str
-        What each bit means.
+    bits : FaultBit
+        Those of this kind of motor.
     status : int
     inputs : tuple of str
         Those that the motor winds.
 
     """
-    for bit, text in words.items():
+    for bit in bits:
         if status & bit:
-            message = f'{where}: {text}; torque is off; remove the cause, then reboot it'
+            message = f'{where}: {bit.words}; torque is off; remove the cause, then reboot it'
             yield Fault(str(bit.name).lower(), message, True, inputs)
 
 

@@ -128,8 +128,8 @@ class MockDriver(HardwareDriver):
         state, lost = self.truth, self._lost()
         pulls, tensions = np.zeros((2, len(self.inputs)))
         if state is not None:
-            pulls = np.array(state.pulls) + self._noise(self.config.pull_noise)
-            tensions = np.array(state.inputs) + self._noise(self.config.tension_noise)
+            pulls = self._random.normal(state.pulls, self.config.pull_noise)
+            tensions = self._random.normal(state.inputs, self.config.tension_noise)
         if self.config.tension_source == 'command':
             command = np.where(self._on, self._goal, 0.0)
             tensions = command if self.mode == 'tension' else np.full_like(pulls, np.nan)
@@ -175,10 +175,6 @@ class MockDriver(HardwareDriver):
         lost = [fault for code, fault in self._injected.items() if FAULTS[code][2]]
         names = [name for fault in lost for name in fault.inputs or self.inputs]
         return np.isin(self.inputs, names)
-
-    def _noise(self, sd: float) -> Floats:
-        m = len(self.inputs)
-        return self._random.normal(0.0, sd, m) if sd > 0.0 else np.zeros(m)
 
     def _advance(self) -> None:
         """Let the motors follow their command since the last call, and the arm the motors."""

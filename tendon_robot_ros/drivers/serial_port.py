@@ -36,9 +36,6 @@ ANSWER_TIMEOUT_S = 0.1
 # [s] a servo takes some tenths to restart, the boot loader of a board that the opened port has
 # restarted would wait 2 s; a longer silence is a fault
 RESTART_TIMEOUT_S = 4.0
-# [s] between two attempts to get a port or a motor back, so that those that fail, with their
-# time-outs, leave most cycles to the motors that are there
-RETRY_PERIOD_S = 2.0 * ANSWER_TIMEOUT_S
 # [1] messages or answers that are lost in a row, or stray ones, so that a hiccup ends no motion
 # and no configuration; what comes more often is no hiccup
 HICCUPS_MAX = 5
@@ -108,11 +105,10 @@ def held_by(path: str, others: bool = False) -> str:
     device = os.path.realpath(path)
     for link in Path('/proc').glob('[0-9]*/fd/*'):
         try:
-            if os.readlink(link) != device:
+            own = int(link.parts[2]) == os.getpid()
+            if os.readlink(link) != device or (own and others):
                 continue
-            if int(link.parts[2]) == os.getpid():
-                if others:
-                    continue
+            if own:
                 return 'this process has the port already'
             command = Path('/proc', link.parts[2], 'cmdline').read_bytes()
             name = ' '.join(command.decode(errors='replace').replace('\0', ' ').split())
@@ -307,7 +303,8 @@ class PortDriver(HardwareDriver):
 
     def _may_retry(self, now: float) -> bool:
         """Return whether it is time for another attempt to reconnect."""
-        if now - self._retried < RETRY_PERIOD_S:
+        # those that fail, with their time-outs, leave most cycles to the motors that are there
+        if now - self._retried < 2.0 * ANSWER_TIMEOUT_S:
             return False
         self._retried = now
         return True

@@ -28,7 +28,6 @@ STOP_S = 0.2  # [s] in which tendons let go when a signal asks for the end, else
 STILL_S = 1.0  # [s] in which pulls have to stand, so that a mean has a hundred readings
 STILL_TIMEOUT_S = 15.0 * STILL_S  # [s] to wait for that, else a person would wait for a held arm
 STILL_TOLERANCE_M = 5e-5  # [m] that a mean pull may change, so that creep shows beside it
-CREEP_M = 6.0 * STILL_TOLERANCE_M  # [m] from which a tendon has crept, so that rest is no creep
 CHANGED_MIN = 0.1  # [1] of the reference tension, so that the friction of a gear is no change
 BOOT = Path('/proc/sys/kernel/random/boot_id')
 
@@ -55,7 +54,7 @@ class TendonChange(NamedTuple):
     def text(self, reference: float) -> str:
         """Return the change as text, '' without one; `reference` [N] is the tension."""
         words = []
-        if abs(self.pull) > CREEP_M:
+        if abs(self.pull) > 6.0 * STILL_TOLERANCE_M:  # what still changes at rest is no creep
             longer = 'longer' if self.pull > 0.0 else 'shorter'
             words.append(f'has crept: {1e3 * abs(self.pull):.2f} mm {longer}')
         if abs(self.tension) > CHANGED_MIN * reference:

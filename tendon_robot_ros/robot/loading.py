@@ -145,8 +145,7 @@ def tendon_to_yaml(tendon: Tendon) -> dict[str, Any]:
         if tendon.helix:
             offset['helix'] = tendon.helix
     plain = {'name': tendon.name, 'offset': offset, 'section': tendon.section}
-    if tendon.drum is not None:
-        plain['drum'] = tendon.drum
-        if tendon.winding != 1:
-            plain['winding'] = tendon.winding
-    return plain if tendon.group is None else {**plain, 'group': tendon.group}
+    for key, usual in (('drum', None), ('winding', 1), ('group', None)):
+        if getattr(tendon, key) != usual:
+            plain[key] = getattr(tendon, key)
+    return plain

@@ -15,11 +15,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from enum import IntEnum
 from functools import cached_property
 from typing import NamedTuple
 
 from ...common.words import UNITS
+from ..interface import FaultBit
 
 RPM = UNITS['angle']['rev'] / UNITS['time']['min']  # [rad/s] the manual's unit of speed
 
@@ -45,23 +46,14 @@ class OperatingMode(IntEnum):
     CURRENT_BASED_POSITION = 5
 
 
-class HardwareError(IntFlag):
+class HardwareError(FaultBit):
     """Bits of address 70, and of address 63: which of them switch the torque off."""
 
-    VOLTAGE = 0x01
-    OVERHEATING = 0x04
-    ENCODER = 0x08
-    SHOCK = 0x10
-    OVERLOAD = 0x20
-
-
-HARDWARE_ERRORS = {
-    HardwareError.VOLTAGE: 'input voltage outside its limits',
-    HardwareError.OVERHEATING: 'motor too hot',
-    HardwareError.ENCODER: 'motor encoder broken',
-    HardwareError.SHOCK: 'electrical shock, or too little power to run the motor',
-    HardwareError.OVERLOAD: 'load above the maximum output for too long',
-}
+    VOLTAGE = 0x01, 'input voltage outside its limits'
+    OVERHEATING = 0x04, 'motor too hot'
+    ENCODER = 0x08, 'motor encoder broken'
+    SHOCK = 0x10, 'electrical shock, or too little power to run the motor'
+    OVERLOAD = 0x20, 'load above the maximum output for too long'
 
 
 class Register(NamedTuple):

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from ..hardware import READINGS_MIN
 from ..interface import Fault, latched
 from .config import DynamixelConfig, MotorWire
-from .control_table import HARDWARE_ERRORS, REGISTERS, Counts, decode
+from .control_table import REGISTERS, Counts, HardwareError, decode
 
 # of that current, because a reading is rounded, rippled and a cycle old: a fraction [1] ...
 CARRIED_MARGIN = 0.1
@@ -209,7 +209,7 @@ class Motor:
         def fault(code: str, words: str, hardware: bool = False) -> Fault:
             return Fault(code, f'{port}: {self}: {words}', hardware, self.names)
 
-        yield from latched(f'{port}: {self}', HARDWARE_ERRORS, self.errors, self.names)
+        yield from latched(f'{port}: {self}', HardwareError, self.errors, self.names)
         if self.restarted:
             words = 'it lost its power or its torque was switched off'
             yield fault('restarted', f'{words}; stays off until it is enabled again', True)

@@ -26,12 +26,12 @@ from .bus import Bus
 from .config import DynamixelConfig
 from .control_table import (
     GAINS,
-    HARDWARE_ERRORS,
     INSTEAD,
     MODEL_NAMES,
     REGISTERS,
     WITHOUT_CURRENT,
     Counts,
+    HardwareError,
     OperatingMode,
 )
 from .motor import HEALTH, STATE, Motor
@@ -358,7 +358,7 @@ def torque_on(bus: Bus, motors: Collection[Motor], mode: int, watchdog: int) -> 
     for motor in motors:
         errors = bus.read(motor.identity, 'hardware_error_status')
         if errors:
-            words = ', '.join(text for bit, text in HARDWARE_ERRORS.items() if errors & bit)
+            words = ', '.join(bit.words for bit in HardwareError if errors & bit)
             raise DriverError(f'{bus.path}: {motor}: {words}; remove the cause, then reboot it')
         must_write(bus, motor, 'torque_enable', 0)
         settle(bus, motor, mode)

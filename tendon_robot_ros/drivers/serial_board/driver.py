@@ -18,13 +18,13 @@ from ...common.arrays import Bools, Floats
 from ...common.errors import DriverError, MovedError
 from ...robot import Robot
 from ..hardware import STANDING_S
-from ..interface import CYCLE_S, Fault, latched, travelled
+from ..interface import CYCLE_S, MODES, Fault, latched, travelled
 from ..safety import CYCLE_MAX_S
 from ..serial_port import ANSWER_TIMEOUT_S, PortDriver, PortLostError, lost_while
 from . import messages
 from .config import BoardConfig, read_config
 from .link import BoardLink
-from .messages import CHANNEL_FAULTS, BoardFlag, ChannelFault, Message, Telemetry
+from .messages import BoardFlag, ChannelFault, Message, Telemetry
 
 TENSION_TOLERANCE = 0.3  # [1] of the homing tension, because friction and noise are large there
 TRAVEL_TOLERANCE_M = 5e-4  # [m] to the end of `home_travel`, because the board goes no further
@@ -89,7 +89,7 @@ class SerialDriver(PortDriver):
     def switch_on(self, mode: str) -> None:
         """Torque on in a mode, where the wires are."""
         every = np.ones(len(self.inputs), dtype=bool)
-        self.link.ask(Message.ENABLE, bytes((messages.MODES.index(mode),)) + self._mask(every))
+        self.link.ask(Message.ENABLE, bytes((MODES.index(mode),)) + self._mask(every))
         self.read_fresh()
 
     def disable(self, inputs: Sequence[str] = ()) -> None:
@@ -203,7 +203,7 @@ class SerialDriver(PortDriver):
         faults: list[Fault] = []
         for tendon in self.config.tendons:
             where, bits = f'{self.config.port}: {tendon}', self.telemetry.faults[tendon.channel]
-            faults += latched(where, CHANNEL_FAULTS, int(bits), (tendon.name,))
+            faults += latched(where, ChannelFault, int(bits), (tendon.name,))
         return faults
 
     def _refuse_latched(self, inputs: Sequence[str] = ()) -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ...common.arrays import Floats
 from ...common.words import UNIT_PREFIXES
+from ..interface import MODES, FaultBit
 
 MICRO = UNIT_PREFIXES['µ']  # [N], [m] of one count: docs/serial_protocol.md
 
@@ -70,7 +71,6 @@ REFUSALS = (
     'a fault is latched',
     'it does not know this message',
 )
-MODES = ('tension', 'pull')  # by their number
 RELEASES = ('pretension', 'limp')  # by their number
 
 
@@ -82,23 +82,14 @@ class BoardFlag(IntFlag):
     RELEASED = 0x04
 
 
-class ChannelFault(IntFlag):
+class ChannelFault(FaultBit):
     """Faults of a channel; all are latched by the board, that motor is then off."""
 
-    OVERLOAD = 0x01
-    OVERHEATING = 0x02
-    LOAD_CELL = 0x04
-    ENCODER = 0x08
-    VOLTAGE = 0x10
-
-
-CHANNEL_FAULTS = {
-    ChannelFault.OVERLOAD: 'tension far above its limit',
-    ChannelFault.OVERHEATING: 'motor bridge too hot',
-    ChannelFault.LOAD_CELL: 'load cell saturated or not answering; check its cable',
-    ChannelFault.ENCODER: 'driven hard and the encoder does not move; motor blocked, or its cable',
-    ChannelFault.VOLTAGE: 'motor supply too low',
-}
+    OVERLOAD = 0x01, 'tension far above its limit'
+    OVERHEATING = 0x02, 'motor bridge too hot'
+    LOAD_CELL = 0x04, 'load cell saturated or not answering; check its cable'
+    ENCODER = 0x08, 'driven hard and the encoder does not move; motor blocked, or its cable'
+    VOLTAGE = 0x10, 'motor supply too low'
 
 
 class Frame(NamedTuple):
@@ -222,7 +213,7 @@ class Telemetry(NamedTuple):
         Per channel.
     currents : ndarray, shape (n,) [A]
     faults : ndarray of int, shape (n,)
-        Bits of `CHANNEL_FAULTS`.
+        Bits of `ChannelFault`.
 
     """
 
