@@ -102,12 +102,12 @@ class BoardLink(PortLink):
             port.reset_input_buffer()
         self._expected = None
 
-    def wait_for(self, kind: int, wait: float) -> list[Frame]:
-        """Return the frames of a kind as soon as there is one; none after `wait` [s]."""
+    def wait_for(self, kind: int, wait: float, head: bytes = b'') -> list[Frame]:
+        """Return the frames of a kind, with this head, once there is one; none after `wait` [s]."""
         deadline = self.clock() + wait
         while (remaining := deadline - self.clock()) > 0.0:
             frames = [frame for frame in self.receive(remaining) if frame.type == kind]
-            if frames:
+            if frames := [frame for frame in frames if frame.payload.startswith(head)]:
                 return frames
         return []
 
@@ -122,18 +122,16 @@ class BoardLink(PortLink):
 
         """
         for _ in range(attempts):
-            sequence = self.send(kind, payload)
-            deadline = self.clock() + ANSWER_TIMEOUT_S
-            while (remaining := deadline - self.clock()) > 0.0:
-                for frame in self.wait_for(Message.RESULT, remaining):
-                    if frame.payload[:2] == bytes((kind, sequence)) and len(frame.payload) == 3:
-                        if (result := frame.payload[2]) == 0:
-                            return
-                        known = dict(enumerate(messages.REFUSALS, 1))
-                        raise DriverError(
-                            f'{self.path}: the board refused {Message(kind).name}: '
-                            f'{known.get(result, "an unknown reason")}'
-                        )
+            request = bytes((kind, self.send(kind, payload)))
+            for frame in self.wait_for(Message.RESULT, ANSWER_TIMEOUT_S, request):
+                if frame.payload == request + b'\0':
+                    return
+                known = dict(enumerate(messages.REFUSALS, 1))
+                result = int.from_bytes(frame.payload[len(request) :])
+                raise DriverError(
+                    f'{self.path}: the board refused {Message(kind).name}: '
+                    f'{known.get(result, "an unknown reason")}'
+                )
         raise DriverError(
             f'{self.path}: no answer to {Message(kind).name}; check cable and supply'
         )
