@@ -111,7 +111,7 @@ class Trial:
             before, rig = self.line.rig.wound[place], self.line.rig
             rig.most[:] = rig.wound
             with self.line._lock:
-                self.line.responder.booting[self.one] = time.monotonic() + self.draw.random()
+                self.line.booting[self.one] = time.monotonic() + self.draw.random()
                 rig.rebooted(self.one)
             said = self.cycle(driver, lambda r: any(f.code == 'restarted' for f in r.faults))
             return said and not servo.torque and rig.most[place] < before + WOUND_ON_M
@@ -136,7 +136,7 @@ class Trial:
 
         talker = threading.Thread(target=chatter)
         talker.start()
-        self.line.responder.silent.add(self.one)
+        self.line.silent.add(self.one)
         told = self.refusal()
         ending.set()
         talker.join()

@@ -276,7 +276,7 @@ def goals(line, name, since):
     return {
         i: [
             value
-            for when, who, what, value in line.responder.log
+            for when, who, what, value in line.accepted
             if who == i and what == name and when >= since
         ]
         for i in (1, 2, 3, 4)

@@ -54,7 +54,7 @@ def tense_arm():
 
 def test_a_silent_servo_is_named_the_others_go_on_and_it_comes_back(arm):
     driver, line, command = arm
-    line.responder.silent.add(2)
+    line.silent.add(2)
     reading = until(driver, command, lambda r: r.faults)
     (fault,) = reading.faults
     assert (fault.code, fault.hardware, fault.inputs) == ('silent', False, ('north',))
@@ -62,7 +62,7 @@ def test_a_silent_servo_is_named_the_others_go_on_and_it_comes_back(arm):
     assert fault.message == f'{line.port}: north (id 2): no answer; {advice}'
     assert np.isnan(reading.pulls[1])
     assert np.isfinite(reading.pulls[[0, 2, 3]]).all()
-    line.responder.silent.clear()
+    line.silent.clear()
     until(driver, command, healthy)
     assert steps_are_small(line, driver, 0.0)
 

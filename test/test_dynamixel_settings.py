@@ -145,7 +145,7 @@ def test_a_motor_that_was_without_power_for_a_moment_does_not_wind_on(mode, torq
             line.servo(1).put('startup_configuration', torque)
             before = line.rig.wound[0]
             line.rig.most[:] = line.rig.wound
-            line.responder.booting[1] = time.monotonic() + 0.1
+            line.booting[1] = time.monotonic() + 0.1
             line.restart(1)
             emulated.until(driver, command, lambda r: 'restarted' in emulated.codes(r))
             emulated.cycle(driver, command, 0.1)
@@ -230,7 +230,7 @@ class Chatter(threading.Thread):
 
 WRONG = {
     'another model': lambda line: setattr(line.servo(1), 'model', MODELS['XC330-T288']),
-    'nobody there': lambda line: line.responder.silent.update({1, 2, 3, 4}),
+    'nobody there': lambda line: line.silent.update({1, 2, 3, 4}),
     'no reads': lambda line: line.servo(2).put('status_return_level', 0),
     'a setting': lambda line: line.servo(2).put('homing_offset', 3),
 }
@@ -256,7 +256,7 @@ def test_a_motor_that_falls_silent_beside_a_second_talker_is_not_blamed_on_its_c
         with Chatter(line) if chatter else contextlib.nullcontext():
             if chatter:
                 emulated.until(driver, command, lambda r: driver.link.disturbed())
-            line.responder.silent.add(2)
+            line.silent.add(2)
             reading = emulated.until(driver, command, lambda r: r.faults)
         (said,) = {fault.message for fault in reading.faults if fault.code == 'silent'}
         assert ('nobody here has asked for' in said) == chatter

@@ -191,11 +191,7 @@ def test_slack_is_wound_up_and_the_pull_is_zero_where_the_wires_begin_to_pull():
         np.testing.assert_allclose(wound, taut, atol=2e-4)
         np.testing.assert_allclose(driver.read().pulls, 0.0, atol=5e-4)
         assert (
-            max(
-                high
-                for (_, name), (_, high) in line.responder.extremes.items()
-                if name == 'goal_current'
-            )
+            max(high for (_, name), (_, high) in line.extremes.items() if name == 'goal_current')
             <= driver.motors[1].strongest
         )
 

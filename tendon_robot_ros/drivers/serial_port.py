@@ -280,8 +280,7 @@ class PortDriver(HardwareDriver):
             return
         self._goal = self._towards(requested, self.limits, passed)
         with contextlib.suppress(PortLostError):  # read() reports it and reopens the port
-            if self.link.connected:
-                self._send()
+            self._send()
 
     def read(self) -> Reading:
         """Read the state of all motors; try to restore what was lost."""

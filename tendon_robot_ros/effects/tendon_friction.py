@@ -20,13 +20,7 @@ EFFECT = Effect(
     # Kato et al. 2015 measured 0.31 and 0.33
     parameters=(
         Parameter(
-            'friction_coefficient',
-            '1',
-            0.0,
-            1.0,
-            0.0,
-            typical=0.3,
-            tolerance='friction_coefficient',
+            'friction_coefficient', '1', 0.0, 1.0, 0.0, 0.3, tolerance='friction_coefficient'
         ),
     ),
     law=law,

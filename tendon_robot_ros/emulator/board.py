@@ -316,7 +316,7 @@ class EmulatedBoard(Plug):
 
     def advance(self, passed: float) -> None:
         """Advance by a time [s]; send the bytes of the board."""
-        self.rig.advance(passed)
+        super().advance(passed)
         answer = self.rig.firmware.take()
         if not self.deaf:
             self._send(answer)

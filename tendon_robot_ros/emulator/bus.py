@@ -158,15 +158,60 @@ class InstructionReceiver:
         return instructions
 
 
-class Responder:
+def _answers(servo: Servo, code: int) -> bool:
+    """Return by its status return level (68) whether a servo answers: 0 pings, 1 reads, 2 all."""
+    level = servo.get('status_return_level')
+    return code == InstructionCode.PING or level >= (1 if code in READS else 2)
+
+
+def _address_and_length(parameters: bytes) -> tuple[int, int]:
+    return int.from_bytes(parameters[:2], 'little'), int.from_bytes(parameters[2:4], 'little')
+
+
+def sync_read(servos: dict[int, Servo], parameters: bytes, fast: bool) -> bytes:
+    """Answer in the order of the ids; in a fast read nobody answers behind a silent servo."""
+    address, length = _address_and_length(parameters)
+    identities = list(parameters[4:])
+    parts = []
+    for identity in identities:
+        if identity in servos:
+            parts.append((identity, *servos[identity].read(address, length)))
+        elif fast:
+            break
+    if not fast:
+        return b''.join(status(*part) for part in parts)
+    old = [i for i, _, _ in parts if servos[i].firmware < servos[i].model.fast_read_firmware]
+    if old or not parts:
+        return b''
+    whole = fast_status(parts + [(i, 0, bytes(length)) for i in identities[len(parts) :]])
+    return whole[: 8 + sum(len(data) + 4 for _, _, data in parts)]
+
+
+HELP = f"""\
+silent ID...          these servos neither hear nor answer; hear ID...: they do again
+{COMMON_HELP}
+overload ID, overheating ID, encoder ID, shock ID   a hardware error, until a reboot
+hot ID CELSIUS        temperature of a motor
+volts VOLTS           supply of all motors
+restart ID...         the motor loses its power for a moment
+trip ID...            its bus watchdog trips
+weight ID KG          hang a weight on it (only with --weights)
+state                 print what the servos and wires do, as JSON
+log SECONDS           print what they accepted lately, as JSON: [time, id, register, value]
+trace SECONDS         print what they did lately, as JSON: [time, [A], [N of wires], [m wound]]
+quit"""
+
+
+class EmulatedBus(Plug):
     """
-    The servos of a rig as they hear and answer.
+    An emulated port with servos; `port` is the path to open.
 
     Attributes
     ----------
+    rig : Rig
     silent : set of int
         Ids that neither hear nor answer.
-    log : deque of (time, id, register, value)
+    accepted : deque of (time, id, register, value)
         What the servos accepted for torque, goals and watchdog, `time.monotonic` [s].
     extremes : dict of (id, register) to (lowest, highest)
         What was written to them, accepted or not.
@@ -175,13 +220,106 @@ class Responder:
 
     """
 
-    def __init__(self, rig: Rig) -> None:
-        """Take the servos."""
+    help = HELP
+    rig: Rig
+
+    def __init__(self, rig: Rig, port: str | None = None) -> None:
+        """Plug it in, at a path of its own if none is given; `start` begins to answer."""
         self.rig = rig
         self.silent: set[int] = set()
-        self.log: deque[tuple[float, int, str, int]] = deque(maxlen=LOG_MAX)
+        self.accepted: deque[tuple[float, int, str, int]] = deque(maxlen=LOG_MAX)
         self.extremes: dict[tuple[int, str], tuple[int, int]] = {}
         self.booting: dict[int, float] = {}
+        self._received_at = time.monotonic()
+        self._receiver = InstructionReceiver()
+        super().__init__('dynamixel', port)
+
+    def commands(self) -> dict[str, Command]:
+        """Return its commands by their first word."""
+
+        def of_each(act: Callable[[Servo], object]) -> Command:
+            """Return a command that acts on the servos whose ids follow it."""
+
+            def carry_out(identities: list[str]) -> None:
+                for identity in identities:
+                    act(self.servo(int(identity)))
+
+            return carry_out
+
+        return {
+            **super().commands(),
+            **{
+                str(error.name).lower(): of_each(functools.partial(Servo.fail, bits=error))
+                for error in HardwareError
+            },
+            'silent': of_each(lambda servo: self.silent.add(servo.identity)),
+            'hear': of_each(lambda servo: self.silent.discard(servo.identity)),
+            'hot': lambda values: setattr(
+                self.servo(int(values[0])), 'temperature', float(values[1])
+            ),
+            'volts': self.supply,
+            'restart': of_each(lambda servo: self.restart(servo.identity)),
+            'trip': of_each(lambda servo: servo.put('bus_watchdog', Counts.WATCHDOG_TRIPPED)),
+            'weight': self.hang,
+            'log': self.log,
+            'trace': self.trace,
+        }
+
+    def servo(self, identity: int) -> Servo:
+        """Return the servo with an id."""
+        return self.rig.servos[identity]
+
+    def restart(self, identity: int) -> None:
+        """Let a servo lose its power for a moment."""
+        with self._lock:
+            self.rig.rebooted(identity)
+
+    def supply(self, values: list[str]) -> None:
+        """Set the supply of all motors [V]."""
+        for servo in self.rig.servos.values():
+            servo.voltage = float(values[0])
+
+    def hang(self, values: list[str]) -> None:
+        """Hang a weight [kg] on the wire of a servo, by its id."""
+        arm = self.rig.arm
+        if not isinstance(arm, HangingWeights):
+            raise ValueError('start the emulator with --weights')
+        arm.hang(list(self.rig.servos).index(int(values[0])), float(values[1]))
+
+    def log(self, values: list[str]) -> str:
+        """Return as JSON what the servos accepted in the last seconds."""
+        begin = time.monotonic() - float(values[0])
+        return json.dumps([entry for entry in self.accepted.copy() if entry[0] >= begin])
+
+    def trace(self, values: list[str]) -> str:
+        """Return as JSON what motors and wires did in the last seconds."""
+        begin = time.monotonic() - float(values[0])
+        recent = [entry for entry in self.rig.trace.copy() if entry[0] >= begin]
+        return json.dumps([[t, *(np.round(v, 6).tolist() for v in rest)] for t, *rest in recent])
+
+    def state(self) -> dict[str, object]:
+        """Return the state of servos and wires as plain values."""
+        wires = ('tensions', 'wound', 'highest', 'held', 'least', 'most')
+        return {
+            **super().state(),
+            **{name: np.round(getattr(self.rig, name), 6).tolist() for name in wires},
+            'servos': {
+                i: {name: servo.get(name) for name in REGISTERS}
+                for i, servo in self.rig.servos.items()
+            },
+            'extremes': {
+                f'{i} {name}': list(values) for (i, name), values in self.extremes.items()
+            },
+        }
+
+    def receive(self, data: bytes) -> None:
+        """Carry out the instructions that the bytes complete."""
+        now = time.monotonic()
+        if now - self._received_at > PACKET_GAP_S:
+            self.connected()
+        self._received_at = now
+        for instruction in self._receiver.feed(data):
+            self._send(self.carry_out(instruction, self.baud_rate()))
 
     def carry_out(self, instruction: Instruction, baud: int | None) -> bytes:
         """Let the servos at a baud rate do what an instruction says; return their answers."""
@@ -236,168 +374,8 @@ class Responder:
             low, high = self.extremes.get(key, (value, value))
             self.extremes[key] = (min(low, value), max(high, value))
             if not error & ~StatusError.ALERT:
-                self.log.append((time.monotonic(), servo.identity, name, value))
+                self.accepted.append((time.monotonic(), servo.identity, name, value))
         return error
-
-
-def _answers(servo: Servo, code: int) -> bool:
-    """Return by its status return level (68) whether a servo answers: 0 pings, 1 reads, 2 all."""
-    level = servo.get('status_return_level')
-    return code == InstructionCode.PING or level >= (1 if code in READS else 2)
-
-
-def _address_and_length(parameters: bytes) -> tuple[int, int]:
-    return int.from_bytes(parameters[:2], 'little'), int.from_bytes(parameters[2:4], 'little')
-
-
-def sync_read(servos: dict[int, Servo], parameters: bytes, fast: bool) -> bytes:
-    """Answer in the order of the ids; in a fast read nobody answers behind a silent servo."""
-    address, length = _address_and_length(parameters)
-    identities = list(parameters[4:])
-    parts = []
-    for identity in identities:
-        if identity in servos:
-            parts.append((identity, *servos[identity].read(address, length)))
-        elif fast:
-            break
-    if not fast:
-        return b''.join(status(*part) for part in parts)
-    old = [i for i, _, _ in parts if servos[i].firmware < servos[i].model.fast_read_firmware]
-    if old or not parts:
-        return b''
-    whole = fast_status(parts + [(i, 0, bytes(length)) for i in identities[len(parts) :]])
-    return whole[: 8 + sum(len(data) + 4 for _, _, data in parts)]
-
-
-HELP = f"""\
-silent ID...          these servos neither hear nor answer; hear ID...: they do again
-{COMMON_HELP}
-overload ID, overheating ID, encoder ID, shock ID   a hardware error, until a reboot
-hot ID CELSIUS        temperature of a motor
-volts VOLTS           supply of all motors
-restart ID...         the motor loses its power for a moment
-trip ID...            its bus watchdog trips
-weight ID KG          hang a weight on it (only with --weights)
-state                 print what the servos and wires do, as JSON
-log SECONDS           print what they accepted lately, as JSON: [time, id, register, value]
-trace SECONDS         print what they did lately, as JSON: [time, [A], [N of wires], [m wound]]
-quit"""
-
-
-class EmulatedBus(Plug):
-    """
-    An emulated port with servos; `port` is the path to open.
-
-    Attributes
-    ----------
-    rig : Rig
-    responder : Responder
-
-    """
-
-    help = HELP
-    rig: Rig
-
-    def __init__(self, rig: Rig, port: str | None = None) -> None:
-        """Plug it in, at a path of its own if none is given; `start` begins to answer."""
-        self.rig = rig
-        self.responder = Responder(rig)
-        self._received_at = time.monotonic()
-        self._receiver = InstructionReceiver()
-        super().__init__('dynamixel', port)
-
-    def commands(self) -> dict[str, Command]:
-        """Return its commands by their first word."""
-        silent = self.responder.silent
-
-        def of_each(act: Callable[[Servo], object]) -> Command:
-            """Return a command that acts on the servos whose ids follow it."""
-
-            def carry_out(identities: list[str]) -> None:
-                for identity in identities:
-                    act(self.servo(int(identity)))
-
-            return carry_out
-
-        return {
-            **super().commands(),
-            **{
-                str(error.name).lower(): of_each(functools.partial(Servo.fail, bits=error))
-                for error in HardwareError
-            },
-            'silent': of_each(lambda servo: silent.add(servo.identity)),
-            'hear': of_each(lambda servo: silent.discard(servo.identity)),
-            'hot': lambda values: setattr(
-                self.servo(int(values[0])), 'temperature', float(values[1])
-            ),
-            'volts': self.supply,
-            'restart': of_each(lambda servo: self.restart(servo.identity)),
-            'trip': of_each(lambda servo: servo.put('bus_watchdog', Counts.WATCHDOG_TRIPPED)),
-            'weight': self.hang,
-            'log': self.log,
-            'trace': self.trace,
-        }
-
-    def servo(self, identity: int) -> Servo:
-        """Return the servo with an id."""
-        return self.rig.servos[identity]
-
-    def restart(self, identity: int) -> None:
-        """Let a servo lose its power for a moment."""
-        with self._lock:
-            self.rig.rebooted(identity)
-
-    def supply(self, values: list[str]) -> None:
-        """Set the supply of all motors [V]."""
-        for servo in self.rig.servos.values():
-            servo.voltage = float(values[0])
-
-    def hang(self, values: list[str]) -> None:
-        """Hang a weight [kg] on the wire of a servo, by its id."""
-        arm = self.rig.arm
-        if not isinstance(arm, HangingWeights):
-            raise ValueError('start the emulator with --weights')
-        arm.hang(list(self.rig.servos).index(int(values[0])), float(values[1]))
-
-    def log(self, values: list[str]) -> str:
-        """Return as JSON what the servos accepted in the last seconds."""
-        begin = time.monotonic() - float(values[0])
-        return json.dumps([entry for entry in self.responder.log.copy() if entry[0] >= begin])
-
-    def trace(self, values: list[str]) -> str:
-        """Return as JSON what motors and wires did in the last seconds."""
-        begin = time.monotonic() - float(values[0])
-        recent = [entry for entry in self.rig.trace.copy() if entry[0] >= begin]
-        return json.dumps([[t, *(np.round(v, 6).tolist() for v in rest)] for t, *rest in recent])
-
-    def state(self) -> dict[str, object]:
-        """Return the state of servos and wires as plain values."""
-        wires = ('tensions', 'wound', 'highest', 'held', 'least', 'most')
-        return {
-            **super().state(),
-            **{name: np.round(getattr(self.rig, name), 6).tolist() for name in wires},
-            'servos': {
-                i: {name: servo.get(name) for name in REGISTERS}
-                for i, servo in self.rig.servos.items()
-            },
-            'extremes': {
-                f'{i} {name}': list(values)
-                for (i, name), values in self.responder.extremes.items()
-            },
-        }
-
-    def advance(self, passed: float) -> None:
-        """Let time [s] pass for servos and wires."""
-        self.rig.advance(passed)
-
-    def receive(self, data: bytes) -> None:
-        """Carry out the instructions that the bytes complete."""
-        now = time.monotonic()
-        if now - self._received_at > PACKET_GAP_S:
-            self.connected()
-        self._received_at = now
-        for instruction in self._receiver.feed(data):
-            self._send(self.responder.carry_out(instruction, self.baud_rate()))
 
     def connected(self) -> None:
         """Discard an incomplete packet."""

@@ -39,8 +39,8 @@ class Plug(abc.ABC):
     """
     An emulated serial port with a thread of its own: a pseudo-terminal that can be unplugged.
 
-    A subclass defines its motors (`rig`), the steps in time and the reaction to bytes, both called
-    with the lock held, and its commands.
+    A subclass defines its motors (`rig`), the reaction to bytes and its commands; time passes, and
+    bytes are received, with the lock held.
 
     Attributes
     ----------
@@ -93,9 +93,9 @@ class Plug(abc.ABC):
         """Its own time [s], which does not pass while this process is not scheduled."""
         return self._lived + self.slept
 
-    @abc.abstractmethod
     def advance(self, passed: float) -> None:
-        """Advance the emulation by a time [s]."""
+        """Let time [s] pass for motors and wires."""
+        self.rig.advance(passed)
 
     @abc.abstractmethod
     def receive(self, data: bytes) -> None:

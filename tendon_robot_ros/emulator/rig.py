@@ -27,8 +27,6 @@ from .servo import STEP_S, Load, Servo
 LINEAR_N = 0.2
 SOFTER_MIN = 0.01  # [1] of the largest compliance: first addition, so that doubling ends soon
 TRACE_MAX = 20_000  # [entries] so that more than 40 s are kept (benchmarks ask for so much)
-# [s] one count of the watchdog, so that none takes a pause of this process for silence
-SILENCE_STEP_MAX_S = REGISTERS['bus_watchdog'].unit
 
 
 class SpringArm:
@@ -281,8 +279,8 @@ class Rig:
     def advance(self, passed: float) -> None:
         """Let time [s] pass."""
         passed = min(passed, ANSWER_TIMEOUT_S)  # a longer pause of this process is skipped
-        for servo in self.servos.values():
-            servo.protect(min(passed, SILENCE_STEP_MAX_S))
+        for servo in self.servos.values():  # no watchdog takes such a pause for silence
+            servo.protect(min(passed, REGISTERS['bus_watchdog'].unit))
         steps = max(1, math.ceil(passed / STEP_S - 1e-9))
         for _ in range(steps):
             self.turn(passed / steps)

@@ -175,7 +175,7 @@ class SlackSearch:
 
 
 def find_slack(
-    bus: Bus, config: DynamixelConfig, motors: list[Motor], refuse_cancelled: Callable[[], None]
+    bus: Bus, config: DynamixelConfig, motors: list[Motor], check: Callable[[], None]
 ) -> None:
     """
     Wind the slack up and set the zero of every motor; torque is off afterwards.
@@ -194,7 +194,7 @@ def find_slack(
     try:
         servos.torque_on(bus, motors, MODE, WATCHDOG_COUNTS)
         try:
-            wind_until_taut(bus, config, searches, refuse_cancelled)
+            wind_until_taut(bus, config, searches, check)
         except (DriverError, PortLostError) as error:
             raise error if isinstance(error, MovedError) else MovedError(str(error)) from None
     finally:
@@ -202,10 +202,7 @@ def find_slack(
 
 
 def wind_until_taut(
-    bus: Bus,
-    config: DynamixelConfig,
-    searches: list[SlackSearch],
-    refuse_cancelled: Callable[[], None],
+    bus: Bus, config: DynamixelConfig, searches: list[SlackSearch], check: Callable[[], None]
 ) -> None:
     """
     Move all motors until every zero is known.
@@ -216,7 +213,7 @@ def wind_until_taut(
     remaining = 3.0 * config.home_travel / config.home_speed + 2.0 * TURNING_TIMEOUT_S
     before = time.monotonic()
     while not all(search.finished for search in searches):
-        refuse_cancelled()
+        check()
         now = time.monotonic()
         passed, before = min(now - before, 2.0 * CYCLE_S), now
         remaining -= passed
