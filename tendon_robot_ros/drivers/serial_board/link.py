@@ -103,7 +103,7 @@ class BoardLink(PortLink):
         self._expected = None
 
     def wait_for(self, kind: int, wait: float, head: bytes = b'') -> list[Frame]:
-        """Return the frames of a kind with a head as soon as there is one; none after `wait` [s]."""
+        """Return frames of a kind with a head as soon as there is one; none after `wait` [s]."""
         deadline = self.clock() + wait
         while (remaining := deadline - self.clock()) > 0.0:
             frames = [frame for frame in self.receive(remaining) if frame.type == kind]
