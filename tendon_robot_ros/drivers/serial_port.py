@@ -26,7 +26,7 @@ from ..common.arrays import Bools, Floats
 from ..common.errors import REASON_MAX, DriverError, MovedError
 from ..robot import Robot
 from .hardware import HardwareDriver, PortConfig, WireConfig
-from .interface import Fault, Reading
+from .interface import Fault, Reading, travelled
 
 # exceptions of an unplugged port: serial's error is an OSError, termios.error is none
 PORT_ERRORS = (OSError, termios.error)
@@ -263,6 +263,7 @@ class PortDriver(HardwareDriver):
             self._check_motors()
             if self.config.zero == 'find' and self._slack_unknown():
                 self._find_slack()
+                travelled(self.port).clear()
                 failed = MovedError
             self._torque_on()
         except (DriverError, PortLostError) as error:
@@ -288,7 +289,7 @@ class PortDriver(HardwareDriver):
         now = time.monotonic()
         try:
             if not self.link.connected and self._may_retry(now) and self.link.reopen():
-                self._reopened()
+                self._retried = -np.inf  # motors that were lost with the port are asked at once
             if self.link.connected:
                 self._converse(now)
             else:
@@ -352,10 +353,6 @@ class PortDriver(HardwareDriver):
     @abstractmethod
     def _send(self) -> None:
         """Send the goal to the motors that are on."""
-
-    @abstractmethod
-    def _reopened(self) -> None:
-        """Begin the conversation with the motors behind a port that was lost."""
 
     @abstractmethod
     def _converse(self, now: float) -> None:

@@ -196,12 +196,9 @@ class DynamixelDriver(PortDriver):
     def _limits_reduced(self) -> bool:
         return any(motor.reduced_limit is not None for motor in self.motors.values())
 
-    def _reopened(self) -> None:
-        # all motors were lost with the port, and are pinged at once
-        self._retried, self._lost = -np.inf, list(self.motors.values())
-
     def _forget_readings(self) -> None:
-        for motor in self.motors.values():
+        self._lost = list(self.motors.values())
+        for motor in self._lost:
             motor.answers = False
 
     def _faults(self) -> tuple[Fault, ...]:

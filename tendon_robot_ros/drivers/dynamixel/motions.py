@@ -232,7 +232,7 @@ def wind_until_taut(
 
 
 def end_search(bus: Bus, searches: list[SlackSearch]) -> None:
-    """Torque off; record the distances of motors whose zero is still unknown."""
+    """Torque off; record how far the motors have gone."""
     motors = [search.motor for search in searches]
     try:
         servos.torque_off(bus, motors)
@@ -246,8 +246,6 @@ def end_search(bus: Bus, searches: list[SlackSearch]) -> None:
         motor.guided = None
         end = motor.ticks if motor.answers and motor.ticks is not None else search.goal
         distances[motor.identity] = end - search.origin
-    if all(motor.zero is not None for motor in motors):
-        distances.clear()
 
 
 def wind_weight(

@@ -150,10 +150,6 @@ class SerialDriver(PortDriver):
         values[self._places] = goal
         self.link.send(Message.COMMAND, messages.command(mode, values))
 
-    def _reopened(self) -> None:
-        self.link.send(Message.HEARTBEAT)
-        self._received_at = self.link.clock()
-
     def _forget_readings(self) -> None:
         self.telemetry = None
 
@@ -198,8 +194,7 @@ class SerialDriver(PortDriver):
 
     def _latched_faults(self) -> list[Fault]:
         """Return the faults that the board has latched."""
-        if self.telemetry is None:
-            return []
+        assert self.telemetry is not None
         faults: list[Fault] = []
         for tendon in self.config.tendons:
             where, bits = f'{self.config.port}: {tendon}', self.telemetry.faults[tendon.channel]
@@ -283,7 +278,6 @@ class SerialDriver(PortDriver):
         self.link.give_limits(self.config, origin, (-travel, travel))
         self.switch_on('tension')
         self.zero = self._wind_until_taut(origin)
-        distances.clear()
 
     def _wind_until_taut(self, origin: Floats) -> Floats:
         """Command the homing tension until every wire has it; return where they are, (m,) [m]."""
