@@ -2,7 +2,7 @@
 
 import math
 
-from .effect import Effect, Parameter
+from .effect import Effect, Parameter, per_axis
 
 
 def law(x, y, z, shift_x, shift_y, shift_z, rotation_x, rotation_y, rotation_z):
@@ -26,15 +26,9 @@ EFFECT = Effect(
     title="the tracker's frame is off the robot's base frame",
     stage='measurement',
     law=law,
-    parameters=tuple(
-        Parameter(
-            f'shift_{axis}', 'm', -1.0, 1.0, 0.0, typical=0.01, of='length', tolerance='position'
-        )
-        for axis in 'xyz'
-    )
-    + tuple(
-        Parameter(f'rotation_{axis}', 'rad', -1.0, 1.0, 0.0, typical=1e-2, tolerance='rotation')
-        for axis in 'xyz'
+    parameters=per_axis(
+        Parameter('shift', 'm', -1.0, 1.0, 0.0, typical=0.01, of='length', tolerance='position'),
+        Parameter('rotation', 'rad', -1.0, 1.0, 0.0, typical=1e-2, tolerance='rotation'),
     ),
     divisible=True,
 )

@@ -121,11 +121,17 @@ def relative_change(typical: float = 0.1, **more: Any) -> Parameter:
     return Parameter('relative_change', '1', -0.8, 4.0, 0.0, typical, **more)
 
 
+def per_axis(*vectors: Parameter) -> tuple[Parameter, ...]:
+    """Return the components of vectors, a parameter each: `force` becomes `force_x` and so on."""
+    return tuple(replace(p, name=f'{p.name}_{axis}') for p in vectors for axis in 'xyz')
+
+
 def wrench() -> tuple[Parameter, ...]:
     """Return the parameters of a force and of a moment, which a fit frees where it is known."""
-    force = Parameter('force', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force')
-    moment = Parameter('moment', 'N·m', -1e3, 1e3, 0.0, 0.2, of='moment', only_described=True)
-    return tuple(replace(p, name=f'{p.name}_{axis}') for p in (force, moment) for axis in 'xyz')
+    return per_axis(
+        Parameter('force', 'N', -1e3, 1e3, 0.0, typical=0.2, of='force'),
+        Parameter('moment', 'N·m', -1e3, 1e3, 0.0, 0.2, of='moment', only_described=True),
+    )
 
 
 def fraction() -> Parameter:

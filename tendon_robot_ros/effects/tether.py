@@ -2,7 +2,7 @@
 
 import math
 
-from .effect import Effect, Parameter
+from .effect import Effect, Parameter, per_axis
 
 
 def law(
@@ -45,9 +45,7 @@ EFFECT = Effect(
     law=law,
     parameters=(
         Parameter('arc_length', 'm', 0.0, 1.0, 0.0, typical=0.7, of='length'),
-        Parameter('point_x', 'm', -1e3, 1e3, 0.0, typical=0.2, of='length'),
-        Parameter('point_y', 'm', -1e3, 1e3, 0.0, typical=0.2, of='length'),
-        Parameter('point_z', 'm', -1e3, 1e3, 0.0, typical=0.2, of='length'),
+        *per_axis(Parameter('point', 'm', -1e3, 1e3, 0.0, typical=0.2, of='length')),
         Parameter('slack_length', 'm', 0.0, 1e3, 0.0, typical=0.2, of='length'),
         Parameter('stiffness', 'N/m', 0.0, 1e6, 0.0, typical=1.0, of='tip_stiffness'),
         Parameter('tension', 'N', 0.0, 1e3, 0.0, typical=0.2, of='force'),

@@ -24,7 +24,6 @@ from ..common.files import shared_file
 from ..common.words import STANDARD_GRAVITY
 from ..drivers.hardware import Spool
 from ..drivers.serial_board.messages import ChannelFault, Protocol
-from ..drivers.serial_port import ANSWER_TIMEOUT_S
 from .port import COMMON_HELP, Command, Plug
 from .rig import Arm
 from .servo import STEP_S
@@ -189,7 +188,6 @@ class BoardRig:
 
     def advance(self, passed: float) -> None:
         """Let time [s] pass."""
-        passed = min(passed, ANSWER_TIMEOUT_S)  # a longer pause of this process is skipped
         steps = max(1, round(passed / STEP_S))
         for _ in range(steps):
             self._time += passed / steps

@@ -26,6 +26,7 @@ import yaml
 
 from ..common.errors import DriverError, InputError
 from ..common.processes import Realtime, go_realtime
+from ..drivers.serial_port import ANSWER_TIMEOUT_S
 
 Command = Callable[[list[str]], str | None]  # takes the words behind the first, may answer
 COMMON_HELP = """\
@@ -94,8 +95,8 @@ class Plug(abc.ABC):
         return self._lived + self.slept
 
     def advance(self, passed: float) -> None:
-        """Let time [s] pass for motors and wires."""
-        self.rig.advance(passed)
+        """Let time [s] pass for motors and wires; a longer pause of this process is skipped."""
+        self.rig.advance(min(passed, ANSWER_TIMEOUT_S))
 
     @abc.abstractmethod
     def receive(self, data: bytes) -> None:

@@ -18,7 +18,6 @@ from ..common.estimation import ITERATIONS_MAX
 from ..common.words import STANDARD_GRAVITY
 from ..drivers.dynamixel.control_table import REGISTERS
 from ..drivers.interface import CYCLE_S
-from ..drivers.serial_port import ANSWER_TIMEOUT_S
 from ..robot.estimates import SAME_TENSION_N
 from .servo import STEP_S, Load, Servo
 
@@ -278,7 +277,6 @@ class Rig:
 
     def advance(self, passed: float) -> None:
         """Let time [s] pass."""
-        passed = min(passed, ANSWER_TIMEOUT_S)  # a longer pause of this process is skipped
         for servo in self.servos.values():  # no watchdog takes such a pause for silence
             servo.protect(min(passed, REGISTERS['bus_watchdog'].unit))
         steps = max(1, math.ceil(passed / STEP_S - 1e-9))

@@ -43,12 +43,11 @@ class SlackSearch:
 
     def __init__(self, bus: Bus, config: DynamixelConfig, motor: Motor) -> None:
         """Begin where the motor is; give it only the current of the homing tension."""
-        if motor.ticks is None or not motor.answers:
-            raise DriverError(f'{bus.path}: {motor}: no answer; check the cable')
         self.bus, self.config, self.motor = bus, config, motor
-        self.start, self.goal = motor.ticks, float(motor.ticks)  # ticks
+        self.start = motor.ticks or 0
+        self.goal = float(self.start)  # ticks
         # ticks; where the first attempt began
-        self.origin = motor.ticks - travelled(bus.path).get(motor.identity, 0.0)
+        self.origin = self.start - travelled(bus.path).get(motor.identity, 0.0)
         self.direction = motor.wires[0].spool.direction  # +1 or -1, of the ticks
         # ticks behind its goal that show a stall: a motor that follows has no such lag
         self.lag = self.ticks(0.5 * BACK_OFF_M)
@@ -189,7 +188,7 @@ def find_slack(
         The torque does not come on: nothing has moved.
 
     """
-    servos.read_state(bus, motors)
+    servos.read_all(bus, motors)
     searches = [SlackSearch(bus, config, motor) for motor in motors]
     try:
         servos.torque_on(bus, motors, MODE, WATCHDOG_COUNTS)
@@ -271,10 +270,8 @@ def wind_weight(
 
     """
     wire = motor.wires[0]
-    servos.read_state(bus, [motor])
-    if motor.ticks is None or not motor.answers:
-        raise DriverError(f'{bus.path}: {motor}: no answer; check the cable')
-    start = motor.ticks
+    servos.read_all(bus, [motor])
+    start = motor.ticks or 0
     end = start + round(wire.spool.ticks(travel))
     slack = abs(end - start) // 4
     motor.guided = (motor.strongest, (min(start, end) - slack, max(start, end) + slack))

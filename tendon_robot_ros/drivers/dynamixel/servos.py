@@ -336,6 +336,13 @@ def read_state(bus: Bus, motors: Collection[Motor]) -> None:
             motor.take(data)
 
 
+def read_all(bus: Bus, motors: Collection[Motor]) -> None:
+    """Read the state of servos; raise DriverError with those that do not answer."""
+    read_state(bus, motors)
+    if silent := [str(motor) for motor in motors if not motor.answers]:
+        raise DriverError(f'{bus.path}: {", ".join(silent)}: no answer; check the cable')
+
+
 def torque_on(bus: Bus, motors: Collection[Motor], mode: int, watchdog: int) -> None:
     """
     Switch the torque on where the motors are.
@@ -362,10 +369,7 @@ def torque_on(bus: Bus, motors: Collection[Motor], mode: int, watchdog: int) -> 
             raise DriverError(f'{bus.path}: {motor}: {words}; remove the cause, then reboot it')
         must_write(bus, motor, 'torque_enable', 0)
         settle(bus, motor, mode)
-    read_state(bus, motors)
-    silent = [str(motor) for motor in motors if not motor.answers]
-    if silent:
-        raise DriverError(f'{bus.path}: {", ".join(silent)}: no answer; check the cable')
+    read_all(bus, motors)
     hold(bus, motors, mode)
     for motor in motors:
         must_write(bus, motor, 'torque_enable', 1)
