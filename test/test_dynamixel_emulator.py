@@ -69,7 +69,7 @@ def test_a_tripped_watchdog_stops_the_servo_and_locks_the_goals_until_zero_is_wr
     rig = Rig([servo], [Wire(1, 0.01)], SpringArm(np.array([0.0])))
     goal, aim = ('goal_current', 300) if mode == 0 else ('goal_position', 100_000)
     write_all(servo, operating_mode=mode, torque_enable=1, bus_watchdog=5, **{goal: aim})
-    servo.feed_watchdog()
+    servo.silence = 0.0
     for _ in range(9):  # a pause of the process would be none of the bus
         rig.advance(0.01)
     assert servo.motion.speed > 0.0
@@ -81,7 +81,7 @@ def test_a_tripped_watchdog_stops_the_servo_and_locks_the_goals_until_zero_is_wr
     assert write(servo, goal, 50) == StatusError.DATA_RANGE
     assert servo.torque
     write_all(servo, bus_watchdog=0, **{goal: aim})
-    servo.feed_watchdog()
+    servo.silence = 0.0
     rig.advance(0.05)
     assert servo.motion.speed > 0.0
 

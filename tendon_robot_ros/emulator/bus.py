@@ -332,7 +332,7 @@ class EmulatedBus(Plug):
             and baud in (None, BAUD_RATES.get(servo.get('baud_rate')))
         }
         for servo in servos.values():
-            servo.feed_watchdog()
+            servo.silence = 0.0  # every instruction on the bus feeds the watchdogs
         code, parameters = instruction.code, instruction.parameters
         if code == InstructionCode.SYNC_WRITE:
             address, length = _address_and_length(parameters)

@@ -350,10 +350,6 @@ class Servo:
         self.put('goal_current', 0 if in_current_mode else self.get('current_limit'))
         self.put('goal_pwm', self.get('pwm_limit'))
 
-    def feed_watchdog(self) -> None:
-        """Reset the watchdog's timer, as every instruction packet on the bus does."""
-        self.silence = 0.0
-
     def fail(self, bits: int) -> None:
         """Set hardware errors; the ones that the shutdown mask names switch the torque off."""
         self.put('hardware_error_status', self.get('hardware_error_status') | bits)
