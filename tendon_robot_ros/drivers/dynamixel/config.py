@@ -229,6 +229,9 @@ def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[MotorWire, .
     items = hardware.fields_of_inputs(top, 'motors', 'a motor', robot)
     lines = hardware.read_calibrations(top, required=True)
     shared = [item.content.get('id') for item in items.values()]
+    rate = 'pull_rate', 0.02, 1e-6, 1.0, 'm/s'  # key, default, lowest, highest, unit
+    if mode == 'tension':
+        rate = 'tension_rate', 2.0 * robot.tension_limits[1], 1e-6, 1e4, 'N/s'
     wires = []
     for name, item in items.items():
         item.only(*MOTOR_KEYS)
@@ -239,10 +242,6 @@ def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[MotorWire, .
         if lines.has(name) or item.has('calibration'):
             source = item.child('calibration') if item.has('calibration') else lines.child(name)
             calibration = read_calibration(source, model, radius)
-        key, default, low, high, unit = ('pull_rate', 0.02, 1e-6, 1.0, 'm/s')
-        if mode == 'tension':
-            default = 2.0 * robot.tension_limits[1]
-            key, low, high, unit = ('tension_rate', 1e-6, 1e4, 'N/s')
         largest = model.current_limit * model.current_unit
         limited = hardware.nearest(item, top, 'current_limit')
         direction = hardware.read_direction(item, 'counter-clockwise winds')
@@ -251,7 +250,7 @@ def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[MotorWire, .
                 name,
                 hardware.Spool(radius, direction, Counts.TICKS_PER_TURN),
                 **hardware.read_wire_limits(item, top, robot, mode),
-                rate=hardware.nearest(item, top, key).value(key, default, low, high, unit),
+                rate=hardware.nearest(item, top, rate[0]).value(*rate),
                 motor=identity,
                 model=model,
                 share=item.value('share', 1.0 / shared.count(identity), 0.0, 1.0, '1'),
