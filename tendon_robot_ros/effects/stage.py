@@ -52,7 +52,7 @@ class Stage:
 
 # In the order in which a cell meets them: a stage, and the quantities of its laws, each with unit
 # and meaning. `>`: a law gives it back, and first takes it as it is without the law; `-`: a law
-# only takes it; `*`: the laws use the shape itself.
+# only takes it; `*` behind a stage: the laws use the shape itself; in a quantity: x, y and z.
 TABLE = """
 actuation
   > tension [N] tension that enters the first cell
@@ -78,20 +78,12 @@ tendon_path *
   - length [m] length of the cell
   - hinge [1] 1 where the cell is a hinge, 0 where it is an arc
 load *
-  > force_x [N] force along x, base frame
-  > force_y [N] force along y, base frame
-  > force_z [N] force along z, base frame
+  > force_* [N] force along *, base frame
   - mass_length [m] mass_profile times the length of the cell
-  - gravity_x [m/s²] gravity along x, base frame
-  - gravity_y [m/s²] gravity along y, base frame
-  - gravity_z [m/s²] gravity along z, base frame
+  - gravity_* [m/s²] gravity along *, base frame
 tip_load *
-  > force_x [N] force along x, base frame
-  > force_y [N] force along y, base frame
-  > force_z [N] force along z, base frame
-  > moment_x [N·m] moment about x, base frame
-  > moment_y [N·m] moment about y, base frame
-  > moment_z [N·m] moment about z, base frame
+  > force_* [N] force along *, base frame
+  > moment_* [N·m] moment about *, base frame
 push *
   > force [N] force on the end of a cell (x, y, z), base frame
   > moment [N·m] moment there (x, y, z), base frame
@@ -146,16 +138,17 @@ winding
   > pull [m] pull of the wire as it is commanded
   - tension [N] tension that enters the first cell
 measurement
-  > x [m] x as the tracker sees it
-  > y [m] y as the tracker sees it
-  > z [m] z as the tracker sees it
+  > * [m] * as the tracker sees it
 """
 
 
 def _stages() -> Iterator[Stage]:
     """Yield the stages of the table."""
     for head, *lines in (block.split('\n  ') for block in re.split(r'\n(?! )', TABLE.strip())):
-        rows = [re.fullmatch(r'([>-]) (\w+) \[(.+?)\] (.+)', line) for line in lines]
+        each = (
+            line.replace('*', axis) for line in lines for axis in ('xyz' if '*' in line else '*')
+        )
+        rows = [re.fullmatch(r'([>-]) (\w+) \[(.+?)\] (.+)', line) for line in each]
         given, taken = (
             tuple(Quantity(*row.groups()[1:]) for row in rows if row and row[1] == mark)
             for mark in '>-'
