@@ -107,7 +107,8 @@ def postures(count: int, resting: int = 0) -> str:
 def listing(names: Iterable[str]) -> str:
     """List names in a message; a long list is cut in the middle."""
     known = list(names)
-    return ', '.join(known if len(known) <= 12 else [*known[:6], '...', *known[-3:]]) or 'none'
+    shown = known if len(known) <= LISTED_MAX else [*known[:6], '...', *known[-3:]]
+    return ', '.join(shown) or 'none'
 
 
 def listed(names: Iterable[str], last: str = 'and') -> str:

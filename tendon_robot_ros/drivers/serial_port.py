@@ -290,10 +290,7 @@ class PortDriver(HardwareDriver):
         try:
             if not self.link.connected and self._may_retry(now) and self.link.reopen():
                 self._retried = -np.inf  # motors that were lost with the port are asked at once
-            if self.link.connected:
-                self._converse(now)
-            else:
-                self._forget_readings()
+            self._converse(now)
         except (PortLostError, DriverError):
             self._forget_readings()
         gone = f'{self.port}: the port is gone; plug the {self.device} in again'
@@ -356,7 +353,7 @@ class PortDriver(HardwareDriver):
 
     @abstractmethod
     def _converse(self, now: float) -> None:
-        """Read the motors behind the open port; act on what they did by themselves."""
+        """Read the motors; act on what they did by themselves. PortLostError without a port."""
 
     @abstractmethod
     def _forget_readings(self) -> None:
