@@ -216,7 +216,6 @@ class SerialDriver(PortDriver):
             self.link.flush()
         lost = self.telemetry is None
         newest = self._receive(min(3.0 * self.config.period, 0.03))
-        self._read_at = time.monotonic()
         if newest is None:
             silence = self.link.clock() - self._received_at
             if silence > max(ANSWER_TIMEOUT_S, 5.0 * self.config.period):
@@ -242,6 +241,7 @@ class SerialDriver(PortDriver):
     def _receive(self, wait: float) -> Telemetry | None:
         """Take the newest telemetry, None when none came."""
         newest = self.link.telemetry(wait)
+        self._read_at = time.monotonic()
         if newest is not None:
             self.telemetry, self._received_at = newest, self.link.clock()
         return newest
@@ -251,7 +251,6 @@ class SerialDriver(PortDriver):
         self.link.flush()
         if self._receive(0.5) is None:
             raise DriverError(f'{self.config.port}: no telemetry; check cable and supply')
-        self._read_at = time.monotonic()
 
     def _zero_in_place(self) -> None:
         if self.config.zero == 'here':
