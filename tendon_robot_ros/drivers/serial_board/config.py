@@ -117,10 +117,10 @@ TENDON_KEYS = ('channel', 'direction', 'tension_limit', *COMMON_KEYS)
 
 @dataclass(frozen=True)
 class ChannelWire(hardware.WireConfig):
-    """One input, its channel and load cell."""
+    """One input, its channel and load cell, which is nan where it is not calibrated yet."""
 
     channel: int
-    cell: Cell | None
+    cell: Cell
 
     @property
     def counted(self) -> float:
@@ -154,7 +154,7 @@ def read_wires(
                 f'motors calibrate serial CONFIG --robot ROBOT --tendon {name} --weights KG KG KG',
                 list(cells.content),
             )
-        cell = read_cell(cells.child(name)) if cells.has(name) else None
+        cell = read_cell(cells.child(name)) if cells.has(name) else Cell(math.nan, math.nan)
         spool = hardware.Spool(radius, direction, ticks_per_turn)
         wire = ChannelWire(name, spool, **limits, rate=rate, channel=channel, cell=cell)
         if abs(wire.counted - 1.0) > ROUNDING_MAX:

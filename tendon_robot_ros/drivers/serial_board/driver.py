@@ -129,9 +129,8 @@ class SerialDriver(PortDriver):
         for tendon in config.tendons:
             if telemetry is not None:
                 facts[f'{tendon}: current (A)'] = f'{telemetry.currents[tendon.channel]:.3f}'
-            if tendon.cell is not None:
-                doubt = tendon.cell.uncertainty(tendon.tension_limit)
-                facts[f'{tendon}: tension_uncertainty (N)'] = f'{doubt:.2g}'  # at its limit
+            doubt = tendon.cell.uncertainty(tendon.tension_limit)
+            facts[f'{tendon}: tension_uncertainty (N)'] = f'{doubt:.2g}'  # at its limit
         return facts
 
     def silence(self) -> str:
@@ -155,11 +154,8 @@ class SerialDriver(PortDriver):
 
     def _tensions(self) -> tuple[Floats, Floats]:
         tensions = self._channels('tensions', ChannelFault.LOAD_CELL)
-        doubt = np.zeros(len(self.inputs))
-        for k, tendon in enumerate(self.config.tendons):
-            if tendon.cell is not None and np.isfinite(tensions[k]):
-                doubt[k] = tendon.cell.uncertainty(tensions[k])
-        return tensions, doubt
+        both = zip(self.config.tendons, tensions.tolist(), strict=True)
+        return tensions, np.array([wire.cell.uncertainty(tension) for wire, tension in both])
 
     def _pulls(self) -> Floats:
         """Return wire pulls from the zero, shape (m,) [m]; nan where the encoder has a fault."""

@@ -169,9 +169,8 @@ class BoardLink(PortLink):
     def configure(self, config: BoardConfig) -> None:
         """Send the board its configuration; its motors are off, the zeros of the wires unknown."""
         for wire in config.tendons:
-            if (cell := wire.cell) is not None:
-                values = (cell.zero, cell.newtons_per_count, wire.spool.metres_per_tick)
-                self.ask(Message.CALIBRATION, messages.calibration(wire.channel, *values))
+            values = (wire.cell.zero, wire.cell.newtons_per_count, wire.spool.metres_per_tick)
+            self.ask(Message.CALIBRATION, messages.calibration(wire.channel, *values))
         self.give_limits(config, np.zeros(len(config.tendons)))
         content = messages.settings(
             config.command_timeout,
