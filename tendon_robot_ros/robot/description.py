@@ -276,39 +276,34 @@ def _tendon(item: Reader, sections: tuple[Section, ...]) -> Tendon:
         raise item.error('winding', '1, or -1 for a wire that is wound the other way', winding)
     names = tuple(section.name for section in sections)
     ending = item.choice('section', names)
-    runs_through = sections[: names.index(ending) + 1]
-    base, end, helix, offsets = _route(item, runs_through)
     return Tendon(
         name=item.name('name'),
-        base=base,
-        end=end,
         section=ending,
         group=item.name('group') if item.has('group') else None,
         drum=item.name('drum') if item.has('drum') else None,
         winding=winding,
-        helix=helix,
-        offsets=offsets,
+        **_route(item, sections[: names.index(ending) + 1]),
     )
 
 
-def _route(item: Reader, sections: tuple[Section, ...]) -> tuple[XY, XY, float, tuple[XY, ...]]:
-    """Return a tendon's offset at the base and at its end, its helix, its offset per cell."""
+def _route(item: Reader, sections: tuple[Section, ...]) -> dict[str, Any]:
+    """Return the fields of a tendon that say where it runs through the sections."""
     if not isinstance(item.content.get('offset'), dict):
         at = item.offset('offset')
-        return at, at, 0.0, ()
+        return {'base': at, 'end': at}
     route = item.child('offset')
     route.only('base', 'end', 'helix', 'cells')
     if route.has('cells'):
         if other := [key for key in ('base', 'end', 'helix') if route.has(key)]:
             raise route.error(other[0], 'nothing beside cells, which say it all', other[0])
         offsets = route.offsets('cells', sum(section.cells for section in sections))
-        return offsets[0], offsets[-1], 0.0, offsets
+        return {'base': offsets[0], 'end': offsets[-1], 'offsets': offsets}
     base = route.offset('base')
     end = route.offset('end') if route.has('end') or not route.has('helix') else base
     # a quarter of a turn in one cell at most, because a tendon is straight within a cell
     helix_max = 0.5 * math.pi / max(section.cell_length for section in sections)
     helix = route.number('helix', -helix_max, helix_max, 'rad/m') if route.has('helix') else 0.0
-    return base, end, helix, ()
+    return {'base': base, 'end': end, 'helix': helix}
 
 
 def tendon_offsets(robot: Robot) -> Floats:
