@@ -10,7 +10,14 @@ import pytest
 import yaml
 from source_tree import ROOT
 
-from tendon_robot_ros.common.errors import ClusterLostError, InputError, MissingExtraError
+from tendon_robot_ros.common.errors import (
+    ClusterLostError,
+    DataSetError,
+    InputError,
+    MissingExtraError,
+    MovedError,
+    NoEquilibriumError,
+)
 from tendon_robot_ros.common.workers import LostWork, Workers
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.versions import Preparation, UserEffect, catalogue_of
@@ -29,8 +36,16 @@ def die(_):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def refuse(_):
-    raise InputError('not this')
+ERRORS = [
+    InputError('not this'),
+    NoEquilibriumError('posture 3', ('gravity',), 0.1),
+    DataSetError('shapes.csv, row 2', 'x is missing', 'write it'),
+    MovedError('the wire of a is not taut'),
+]
+
+
+def raise_it(number):
+    raise ERRORS[number]
 
 
 def test_a_worker_that_dies_costs_its_chunk_once(tmp_path):
@@ -47,9 +62,12 @@ def test_a_chunk_that_kills_every_worker_is_given_up(monkeypatch):
         assert list(workers.run(die, [0])) == [(0, LostWork(2))]
 
 
-def test_what_the_work_raises_is_raised_here():
-    with Workers(2) as workers, pytest.raises(InputError, match='not this'):
-        list(workers.run(refuse, [0]))
+@pytest.mark.parametrize('number', range(len(ERRORS)))
+def test_what_the_work_raises_is_raised_here(number):
+    expected = ERRORS[number]
+    with Workers(2) as workers, pytest.raises(type(expected)) as raised:
+        list(workers.run(raise_it, [number]))
+    assert (str(raised.value), vars(raised.value)) == (str(expected), vars(expected))
 
 
 class Immediate:

@@ -36,6 +36,10 @@ def reason_of(error: BaseException) -> str:
 class TendonRobotError(Exception):
     """Base of every error that the command line prints as one line."""
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Keep message and fields on the way to another process, whatever a class is made of."""
+        return Exception.__new__, (type(self), *self.args), vars(self)
+
 
 class RobotDescriptionError(TendonRobotError):
     """A robot description is not valid."""
