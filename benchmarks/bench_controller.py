@@ -37,7 +37,7 @@ from tendon_robot_ros.common.processes import Realtime, go_realtime, in_realtime
 from tendon_robot_ros.model.forward import TOLERANCE
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.ros.shared.quality import COMMAND
+from tendon_robot_ros.ros.shared.interface import COMMAND
 from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 START_LIMIT_S = 5.0

@@ -35,8 +35,8 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.common.processes import go_realtime
+from tendon_robot_ros.ros.shared.interface import STATE
 from tendon_robot_ros.ros.shared.messages import seconds
-from tendon_robot_ros.ros.shared.quality import STATE
 from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 RATE, LIMIT = 200.0, 0.15  # [Hz], of a core

@@ -31,8 +31,8 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
+from tendon_robot_ros.ros.shared.interface import STATE
 from tendon_robot_ros.ros.shared.messages import seconds
-from tendon_robot_ros.ros.shared.quality import STATE
 from tendon_robot_ros.ros.shared.runtime import TRANSPORTS, NodeProcess, without_shared_memory
 
 ROBOT, VICTIMS, LIFE_S, PAUSE_S = 'kato_10_1', 2, 0.4, 0.5

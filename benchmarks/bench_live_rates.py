@@ -30,7 +30,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from live_browser import Browser
 from machine import machine, tell
 
-from tendon_robot_ros.ros.shared.quality import LATCHED
+from tendon_robot_ros.ros.shared.interface import LATCHED
 from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -29,7 +29,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.ros.shared.quality import COMMAND, LATCHED
+from tendon_robot_ros.ros.shared.interface import COMMAND, LATCHED
 from tendon_robot_ros.ros.shared.runtime import NodeProcess
 
 LIMIT_MS = 20.0

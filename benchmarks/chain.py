@@ -37,7 +37,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from tendon_robot_ros.emulator.port import EmulatorProcess
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.ros.shared.quality import COMMAND, LATCHED, LISTEN
+from tendon_robot_ros.ros.shared.interface import COMMAND, LATCHED, LISTEN
 from tendon_robot_ros.ros.shared.runtime import ros_arguments, without_shared_memory
 
 ANSWER = 0.03  # [s]; emulated servos are late when the machine is busy

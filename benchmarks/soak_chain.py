@@ -38,7 +38,7 @@ from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.motions import BACK_OFF_M
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.ros.shared.quality import COMMAND, LATCHED
+from tendon_robot_ros.ros.shared.interface import COMMAND, LATCHED
 
 BETWEEN = 10.0  # [s] from fault to fault, on average
 PERIOD = 0.2  # [s] of the targets

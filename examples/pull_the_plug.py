@@ -23,8 +23,8 @@ from tendon_robot_ros.common.rotations import towards
 from tendon_robot_ros.emulator.port import EmulatorProcess
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.ros.shared.interface import COMMAND, LATCHED, LISTEN
 from tendon_robot_ros.ros.shared.messages import pose_stamped
-from tendon_robot_ros.ros.shared.quality import COMMAND, LATCHED, LISTEN
 from tendon_robot_ros.ros.shared.runtime import NodeProcess
 from tendon_robot_ros.workspace.view_angle import salient
 

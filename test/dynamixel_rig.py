@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from tendon_robot_ros.common.files import shared_file
 from tendon_robot_ros.drivers.dynamixel.config import from_data_sheet
 from tendon_robot_ros.drivers.dynamixel.control_table import MODELS, Counts
-from tendon_robot_ros.ros.shared.quality import COMMAND
+from tendon_robot_ros.ros.shared.interface import COMMAND
 
 ROBOT = 'kato_10_1'
 TENSION = [1.5, 0.4, 1.0, 0.3]  # [N]

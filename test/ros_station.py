@@ -25,7 +25,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from tendon_robot_ros.common.processes import child_environment
-from tendon_robot_ros.ros.shared.quality import COMMAND, LATCHED, LISTEN
+from tendon_robot_ros.ros.shared.interface import COMMAND, LATCHED, LISTEN
 from tendon_robot_ros.ros.shared.runtime import NodeProcess, ros_arguments, without_shared_memory
 
 without_shared_memory()  # as the nodes: a process that a test kills would hold up the station

@@ -13,6 +13,7 @@ from forked import Forked
 
 pytest.importorskip('rclpy')
 
+from tendon_robot_ros.common.errors import TendonRobotError
 from tendon_robot_ros.ros.commands import demo as command
 
 pytestmark = [pytest.mark.ros, pytest.mark.long]
@@ -60,7 +61,7 @@ def test_the_demo_reaches_its_postures(tmp_path):
     assert children(f'/demo_{process.pid}') == []
 
 
-def test_a_posture_that_is_not_reached_is_named_and_the_exit_code_is_1(monkeypatch, capsys):
+def test_a_posture_that_is_not_reached_is_named_and_the_exit_code_is_1(monkeypatch):
     def go(pilot, posture):
         status = 'no_driver' if posture.name.startswith('middle') else 'reached'
         return command.Outcome(posture, np.zeros(3), 1e-4, np.zeros(4), status, '')
@@ -73,8 +74,8 @@ def test_a_posture_that_is_not_reached_is_named_and_the_exit_code_is_1(monkeypat
         ),
     }.items():
         monkeypatch.setattr(command, name, stand_in)
-    assert command.main([]) == 1
-    assert 'missed by more than 0.3 mm: middle, 180° view' in capsys.readouterr().err
+    with pytest.raises(TendonRobotError, match=r'missed by more than 0\.3 mm: middle'):
+        command.main([])
 
 
 def test_an_interrupted_demo_leaves_no_processes(tmp_path):

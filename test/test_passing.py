@@ -14,8 +14,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from tendon_robot_ros.ros.shared.inbox import subscribe_any_qos
+from tendon_robot_ros.ros.shared.interface import COMMAND, LISTEN
 from tendon_robot_ros.ros.shared.messages import passing_publisher, passing_subscription
-from tendon_robot_ros.ros.shared.quality import COMMAND, LISTEN
 from tendon_robot_ros.ros.shared.runtime import make_executor
 
 pytestmark = pytest.mark.ros

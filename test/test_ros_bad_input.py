@@ -16,7 +16,7 @@ from std_msgs.msg import Bool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from tendon_robot_ros.robot import dump_robot, load_robot
-from tendon_robot_ros.ros.shared.quality import COMMAND
+from tendon_robot_ros.ros.shared.interface import COMMAND
 
 pytestmark = pytest.mark.ros
 SPACE = '/bad_input'

@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from visualization_msgs.msg import MarkerArray
 
-from tendon_robot_ros.ros.shared.quality import LATCHED
+from tendon_robot_ros.ros.shared.interface import LATCHED
 
 pytestmark = pytest.mark.ros
 SPACE = '/chain'

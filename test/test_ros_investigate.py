@@ -31,7 +31,7 @@ from tendon_robot_ros.monitoring import StillMeasurement
 from tendon_robot_ros.robot import dump_robot, load_robot
 from tendon_robot_ros.ros.commands import investigate
 from tendon_robot_ros.ros.commands.investigate import RunningArm
-from tendon_robot_ros.ros.shared.quality import LISTEN
+from tendon_robot_ros.ros.shared.interface import LISTEN
 from tendon_robot_ros.simulation.plant import make_plant
 
 pytestmark = [pytest.mark.ros, pytest.mark.long]

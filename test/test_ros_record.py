@@ -25,7 +25,7 @@ from watched_arm import coarse
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data.loading import import_bag
 from tendon_robot_ros.robot import dump_robot
-from tendon_robot_ros.ros.shared.quality import COMMAND, LATCHED
+from tendon_robot_ros.ros.shared.interface import COMMAND, LATCHED
 
 pytestmark = [pytest.mark.ros, pytest.mark.long]
 SPACE = '/recorded'

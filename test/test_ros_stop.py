@@ -17,7 +17,7 @@ from std_msgs.msg import Bool, String
 
 from tendon_robot_ros.common.processes import child_environment
 from tendon_robot_ros.ros.shared.inbox import subscribe_any_qos
-from tendon_robot_ros.ros.shared.quality import COMMAND, COMMAND_ALL, LATCHED, LISTEN
+from tendon_robot_ros.ros.shared.interface import COMMAND, COMMAND_ALL, LATCHED, LISTEN
 
 pytestmark = pytest.mark.ros
 SPACE = '/stopping'

@@ -17,8 +17,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from tendon_robot_ros.robot import dump_robot, load_robot
+from tendon_robot_ros.ros.shared.interface import LISTEN
 from tendon_robot_ros.ros.shared.messages import pose_array
-from tendon_robot_ros.ros.shared.quality import LISTEN
 from tendon_robot_ros.ros.shared.runtime import ros
 from tendon_robot_ros.ros.viewer.node import ViewerNode
 

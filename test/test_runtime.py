@@ -26,7 +26,7 @@ from tendon_robot_ros.common.processes import FIRST_NICENESS
 from tendon_robot_ros.ros.controller import parameters as model_loading
 from tendon_robot_ros.ros.controller.node import ControllerNode
 from tendon_robot_ros.ros.driver.node import DriverNode
-from tendon_robot_ros.ros.shared.quality import COMMAND, LATCHED
+from tendon_robot_ros.ros.shared.interface import COMMAND, LATCHED
 from tendon_robot_ros.ros.shared.runtime import (
     SIGNAL_ECHO_S,
     Runnable,

@@ -22,7 +22,7 @@ from tendon_robot_ros.common.processes import child_environment
 from tendon_robot_ros.common.words import LISTED_MAX
 from tendon_robot_ros.ros.controller.topics import DriverLink
 from tendon_robot_ros.ros.shared.inbox import Received
-from tendon_robot_ros.ros.shared.quality import LATCHED
+from tendon_robot_ros.ros.shared.interface import LATCHED
 from tendon_robot_ros.ros.shared.senders import (
     OwnPublisher,
     SenderProcess,

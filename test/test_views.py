@@ -22,7 +22,7 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.urdf import joint_angles, joint_names, transforms, urdf
 from tendon_robot_ros.ros.commands.robot_model import stamped
-from tendon_robot_ros.ros.shared.quality import LATCHED
+from tendon_robot_ros.ros.shared.interface import LATCHED
 
 SPACE = '/views'
 RVIZ = yaml.safe_load((ROOT / 'config' / 'robot.rviz').read_text())['Visualization Manager']

@@ -10,7 +10,6 @@ example: python -m tendon_robot_ros demo
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ import numpy as np
 
 from ...common.arrays import Floats
 from ...common.colours import COLOURS, ERROR
+from ...common.errors import TendonRobotError
 from ...common.files import new_file
 from ...common.rotations import angle_between
 from ...control.loading import load
@@ -84,11 +84,8 @@ def main(arguments: Sequence[str]) -> int:
         and (one.status != 'reached' or one.error > TRACKER_NOISE_M)
     ]
     if missed:
-        print(
-            f'error: missed by more than {1e3 * TRACKER_NOISE_M:g} mm: {", ".join(missed)}',
-            file=sys.stderr,
-        )
-        return 1
+        limit = f'{1e3 * TRACKER_NOISE_M:g} mm'
+        raise TendonRobotError(f'missed by more than {limit}: {", ".join(missed)}')
     return 0
 
 

@@ -52,7 +52,6 @@ from ..shared import interface
 from ..shared.lifecycle import OK, WARN, Status
 from ..shared.messages import offer_trigger, points_of, seconds, tensions_and_pulls, time_now
 from ..shared.parameters import parsed
-from ..shared.quality import STATE
 from ..shared.robot_client import MESSAGES_MAX, TIP_AVERAGE_S, WORKING_CODES, Pilot, add_controller
 from ..shared.runtime import SPIN_S, Ending, repeat, ros
 from ..shared.timing import ANSWER_TIMEOUT_S, REACTION_TIMEOUT_S, SILENCE_S, STATUS_PERIOD_S
@@ -127,7 +126,7 @@ class RunningArm(Pilot):
             if np.isfinite(self._own_half(state)).all():
                 self._states.put(seconds(message.header.stamp), state)
 
-        interface.subscribe(self, 'monitor/measured', frame, args.monitor, STATE)
+        interface.subscribe(self, 'monitor/measured', frame, args.monitor, interface.STATE)
         interface.subscribe(self, 'tendon_states', states)
         self.input = 'tension'
         self._variances: list[float] = []  # [m²] of the mean positions so far

@@ -40,7 +40,6 @@ from ...simulation.hidden import STIFFNESS_SCATTER
 from ...simulation.rehearsal import Hidden, Story, add_story, cast, reveal, tour
 from ..shared import interface
 from ..shared.messages import seconds, time_now, xyz
-from ..shared.quality import STATE
 from ..shared.robot_client import MESSAGES_MAX, TIP_AVERAGE_S, Pilot
 from ..shared.runtime import Ending, NodeProcess, ros
 from ..shared.timing import MOVE_TIMEOUT_S, REACTION_TIMEOUT_S, WORK_TIMEOUT_S
@@ -166,7 +165,7 @@ class Director(Pilot):
             self._errors.append((seconds(message.header.stamp), np.array(xyz(message.vector))))
 
         interface.subscribe(self, 'monitor/error', error, 'monitor')
-        interface.subscribe(self, 'monitor/progress', keep('progress'), 'monitor', STATE)
+        interface.subscribe(self, 'monitor/progress', keep('progress'), 'monitor', interface.STATE)
         interface.subscribe(self, 'monitor/verdict', verdict, 'monitor')
         interface.subscribe(self, 'tour', keep('touring'))
 

@@ -28,8 +28,8 @@ from ...common.results import JSON_OPTION, emit, narrate
 from ...data import bag_writer
 from ...robot import dump_robot, load_robot
 from ..shared.inbox import polled
+from ..shared.interface import quality
 from ..shared.parameters import RemoteParameter
-from ..shared.quality import quality
 from ..shared.robot_client import MESSAGES_MAX, add_controller
 from ..shared.runtime import ClientNode, repeat, ros
 from ..shared.timing import NEWS_PERIOD_S, VALUES_PERIOD_S

@@ -35,7 +35,6 @@ from ..shared import interface
 from ..shared.inbox import Answer, Received, Service, subscribe_any_qos
 from ..shared.lifecycle import LEVELS, Status, StoppableNode
 from ..shared.messages import attempted, header_now, passing_subscription
-from ..shared.quality import LISTEN
 from ..shared.runtime import Ending, repeat, run
 from ..shared.senders import gid_text
 from ..shared.timing import NEWS_PERIOD_S
@@ -145,7 +144,9 @@ class ControllerNode(StoppableNode):
             kind, topic, _ = interface.topic(name)
             take = partial(self._take, 'target', action)
             if name == 'controller/delta_twist':  # only the newest counts
-                self._targets.append(passing_subscription(self, kind, topic, take, LISTEN))
+                self._targets.append(
+                    passing_subscription(self, kind, topic, take, interface.LISTEN)
+                )
             else:
                 self._targets += subscribe_any_qos(self, kind, topic, take, too_long)
 
@@ -182,7 +183,10 @@ class ControllerNode(StoppableNode):
                 core.tip_measured(time.monotonic(), incoming.measured_tip(message))
 
             self._tracker = passing_subscription(
-                self, *interface.topic('measured_tip')[:2], partial(self._take, 'tip', tip), LISTEN
+                self,
+                *interface.topic('measured_tip')[:2],
+                partial(self._take, 'tip', tip),
+                interface.LISTEN,
             )
 
     def _take(

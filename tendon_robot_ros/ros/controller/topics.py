@@ -20,7 +20,6 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from ...common.arrays import Floats
-from ...common.colours import PREDICTED
 from ...control import Refusal, Target, Twist
 from ...control.inputs import Trajectory, by_name, direction, finite, position
 from ...data.tracker_faults import is_missing
@@ -29,7 +28,6 @@ from ...model.shape import Shape
 from ...robot.estimates import natural_sizes
 from ..shared import interface, messages
 from ..shared.parameters import ParameterNode, base_frame
-from ..shared.quality import LATCHED
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 
 # [1] points of a trajectory: more would delay the commands while they are parsed
@@ -163,7 +161,7 @@ class Prediction:
         makers = (
             lambda: messages.pose_array(header, points, shape.frames),
             lambda: messages.pose_stamped(header, shape.tip_position, shape.frames[-1]),
-            lambda: messages.arm_markers(header, points, thickness, PREDICTED, 'predicted'),
+            lambda: messages.arm_markers(header, points, thickness),
         )
         for publisher, make in zip(self._publishers, makers, strict=True):
             if publisher.get_subscription_count():
@@ -204,7 +202,7 @@ class DriverLink:
         self._request: messages.Request | None = None
         self._answers: list[Resumed] = []
         if topic:
-            node.create_subscription(DiagnosticStatus, topic, self.receive, LATCHED)
+            node.create_subscription(DiagnosticStatus, topic, self.receive, interface.LATCHED)
         if topic.endswith(STATUS):
             self._request = messages.Request(node, Trigger, topic.removesuffix(STATUS) + RESUME)
 

@@ -27,7 +27,6 @@ from ...model.model import Model
 from ...robot import Robot
 from ..shared import interface, messages
 from ..shared.parameters import ParameterNode, Parameters, base_frame, read_config
-from ..shared.quality import COMMAND, JOINTS
 from ..shared.runtime import repeat
 
 # configuration of the tracker of the mock arm: default (a camera), smallest, largest, unit
@@ -183,10 +182,10 @@ class Ros2ControlLink:
         """Create publisher and subscription."""
         self._node, self._joints = node, dict[str, State]()
         self._commands = messages.passing_publisher(
-            node, Float64MultiArray, command_topic, COMMAND
+            node, Float64MultiArray, command_topic, interface.COMMAND
         )
         self._states = messages.passing_subscription(
-            node, JointState, state_topic, self._receive, JOINTS
+            node, JointState, state_topic, self._receive, interface.JOINTS
         )
 
     def send(self, values: list[float]) -> None:

@@ -39,7 +39,6 @@ from ...robot import load_robot
 from ..shared import interface, messages
 from ..shared.lifecycle import ERROR, OK, WARN, Status
 from ..shared.parameters import ParameterNode, RemoteParameter, base_frame, parsed
-from ..shared.quality import LISTEN
 from ..shared.runtime import repeat, run
 from ..shared.timing import SILENCE_S, STATUS_PERIOD_S, VALUES_PERIOD_S
 from .watching import Adapting, Watching
@@ -324,7 +323,7 @@ class MarkerInput:
                         f'measured_markers: expected names of {", ".join(indices)}, got {name!r}'
                     )
                 callback = partial(self._marker, indices[str(name)])
-                node.create_subscription(PoseStamped, str(topic), callback, LISTEN)
+                node.create_subscription(PoseStamped, str(topic), callback, interface.LISTEN)
         else:
             interface.subscribe(node, 'measured_shape', self._shape)
             interface.subscribe(node, 'measured_tip', self._tip)

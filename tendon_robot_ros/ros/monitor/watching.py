@@ -14,7 +14,6 @@ from std_msgs.msg import Bool, Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory
 
 from ...common.arrays import Floats
-from ...common.colours import BAD
 from ...common.errors import InputError
 from ...common.words import with_unit
 from ...inference.intervals import load_of
@@ -28,7 +27,7 @@ from ...report.sentences import load_words
 from ...robot import Robot, dump_robot
 from ...robot.estimates import INPUT_TOLERANCE, natural_sizes
 from ..shared import interface
-from ..shared.messages import arrow_marker, header_now, vector
+from ..shared.messages import contact_marker, header_now, vector
 from ..shared.parameters import ParameterNode, base_frame
 
 Send = Callable[[str, Callable[[bool, str], None]], None]
@@ -162,7 +161,7 @@ class Watching:
         self._send['monitor/contact'](String(data=json.dumps(content)))
         thickness = natural_sizes(robot)['radius']  # half of the arm's line, so that it is seen
         ends = arrow if contact.acts else None
-        self._send['monitor/markers'](arrow_marker(header, ends, thickness, BAD))
+        self._send['monitor/markers'](contact_marker(header, ends, thickness))
 
     def _publish_state(self) -> None:
         """Publish the state of the alarm when it has changed."""

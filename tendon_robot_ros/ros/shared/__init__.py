@@ -2,8 +2,7 @@
 Code that the nodes share.
 
 messages.py            messages to arrays and back; frames (TF); requests
-interface.py           topics as interface.yaml declares them: publishers, subscriptions
-quality.py             quality of service of topics
+interface.py           topics as interface.yaml declares them, and their quality of service
 timing.py              times that several nodes share, each with its reason
 parameters.py          declared parameters with range and unit; those of another node
 lifecycle.py           lifecycle nodes that start by themselves and can be stopped; status

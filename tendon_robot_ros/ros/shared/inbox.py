@@ -30,7 +30,6 @@ from std_srvs.srv import Trigger
 
 from . import interface
 from .messages import passing_subscription
-from .quality import COMMAND, COMMAND_ALL, LATCHED_BY_MANY, LISTEN, LISTEN_ALL
 from .timing import SILENCE_S, VALUES_PERIOD_S
 
 # [B] of a message that is parsed between commands: measured, 10 MB take seconds
@@ -236,7 +235,7 @@ def subscribe_any_qos[M](
 
     return [
         passing_subscription(node, kind, topic, partial(receive, path=path), qos, raw=True)
-        for path, qos in enumerate((COMMAND, LISTEN))
+        for path, qos in enumerate((interface.COMMAND, interface.LISTEN))
     ]
 
 
@@ -300,7 +299,7 @@ class StopTopic:
         self._checked_at = float('-inf')  # [s]
         self._last: dict[bytes, Received[Bool]] = {}  # message of every publisher
         self._queue: deque[Received[Bool]] = deque()
-        self._forwarding = node.create_publisher(String, FORWARDED, COMMAND_ALL)
+        self._forwarding = node.create_publisher(String, FORWARDED, interface.COMMAND_ALL)
         self._closed = False
         self._closing = GuardCondition(None, None, node.context)
         self._thread = threading.Thread(target=self._listen, name='stop', daemon=True)
@@ -336,9 +335,9 @@ class StopTopic:
 
         Fast DDS drops a message that was not taken when its publisher leaves.
         """
-        kinds = LISTEN_ALL, COMMAND_ALL, LATCHED_BY_MANY
+        kinds = interface.LISTEN_ALL, interface.COMMAND_ALL, interface.LATCHED_BY_MANY
         inboxes = [Inbox(self._node, *interface.topic('stop')[:2], qos) for qos in kinds]
-        forwarded = Inbox(self._node, String, FORWARDED, COMMAND_ALL)
+        forwarded = Inbox(self._node, String, FORWARDED, interface.COMMAND_ALL)
         last_text = ''
         while not self._closed:
             for inbox in inboxes:

@@ -23,7 +23,6 @@ from . import interface
 from .inbox import Inbox, Service, StopTopic
 from .messages import refilled, stamp_now
 from .parameters import ParameterNode
-from .quality import JOINTS
 from .senders import OwnPublisher, Senders
 from .timing import NEWS_PERIOD_S, RETRY_PERIOD_S, STATUS_PERIOD_S, VALUES_PERIOD_S
 
@@ -60,7 +59,7 @@ class StoppableNode(ParameterNode, LifecycleNode):
         super().__init__(name)
         self._drives, self.latch = drives, StopLatch()
         self._senders = Senders(self, hears)
-        self._inbox = Inbox[JointState](self, *interface.topic(hears)[:2], JOINTS)
+        self._inbox = Inbox[JointState](self, *interface.topic(hears)[:2], interface.JOINTS)
         self._message = JointState()  # filled anew for every publication
         self._publisher = self.create_publisher(*interface.topic(says))
         self._own = OwnPublisher(self, self._publisher)

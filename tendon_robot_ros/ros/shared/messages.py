@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ...common.arrays import Floats
-from ...common.colours import rgb
+from ...common.colours import BAD, PREDICTED, rgb
 from ...common.errors import TendonRobotError
 from ...common.rotations import from_quaternion, quaternions
 from ...control.inputs import Refusal, by_name, check_frame, check_stamp, cut
@@ -42,28 +42,23 @@ def stamp_text(stamp: Time) -> str:
     return f'{stamp.sec}.{stamp.nanosec:09d}'
 
 
-def nanoseconds_now(node: Node) -> int:
-    """Return the time of a node's clock [ns]; the Time object of rclpy costs more."""
+def stamp_now(node: Node) -> Time:
+    """Return the time of a node's clock as a stamp; the Time object of rclpy costs more."""
     clock = node.get_clock().handle
     with clock:
-        return int(clock.get_now().nanoseconds)
+        sec, nanosec = divmod(int(clock.get_now().nanoseconds), 10**9)
+    return Time(sec=sec, nanosec=nanosec)
 
 
 def time_now(node: Node) -> float:
     """Return the time of a node's clock [s]."""
-    return 1e-9 * nanoseconds_now(node)
-
-
-def stamp_now(node: Node) -> Time:
-    """Return the time of a node's clock as a stamp."""
-    now = nanoseconds_now(node)
-    return Time(sec=now // 10**9, nanosec=now % 10**9)
+    return seconds(stamp_now(node))
 
 
 def duration(time: float) -> Duration:
     """Return a time [s] as a message."""
-    nanoseconds = round(1e9 * time)
-    return Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+    sec, nanosec = divmod(round(1e9 * time), 10**9)
+    return Duration(sec=sec, nanosec=nanosec)
 
 
 def quaternion(rotation: Floats) -> Quaternion:
@@ -161,22 +156,20 @@ def status_values(message: DiagnosticStatus) -> dict[str, str]:
     return {item.key: item.value for item in message.values}
 
 
-def arm_markers(
-    header: Header, positions: Floats, thickness: float, color: str, name: str
-) -> MarkerArray:
+def arm_markers(header: Header, positions: Floats, thickness: float) -> MarkerArray:
     """Return a line from the base through positions (n, 3) [m], and a ball at the tip."""
     points = [Point(), *map(point, positions)]
-    line = _marker(header, name, color, type=Marker.LINE_STRIP, points=points)
+    line = _marker(header, 'predicted', PREDICTED, type=Marker.LINE_STRIP, points=points)
     line.scale.x = thickness
-    tip = _marker(header, name, color, id=1, type=Marker.SPHERE)
+    tip = _marker(header, 'predicted', PREDICTED, id=1, type=Marker.SPHERE)
     tip.pose.position = points[-1]
     tip.scale.x = tip.scale.y = tip.scale.z = 2.0 * thickness
     return MarkerArray(markers=[line, tip])
 
 
-def arrow_marker(header: Header, ends: Floats | None, thickness: float, color: str) -> MarkerArray:
+def contact_marker(header: Header, ends: Floats | None, thickness: float) -> MarkerArray:
     """Return an arrow from its first end (2, 3) [m] to the second; None: what takes it away."""
-    arrow = _marker(header, 'contact', color, type=Marker.ARROW)
+    arrow = _marker(header, 'contact', BAD, type=Marker.ARROW)
     arrow.action = Marker.DELETE if ends is None else Marker.ADD
     arrow.points = [] if ends is None else [point(end) for end in ends]
     arrow.scale.x, arrow.scale.y = thickness, 2.0 * thickness

@@ -216,14 +216,10 @@ def check_overrides(
         this package.
 
     """
-    unknown = [name for name in sorted(overrides) if name not in {*known}]
-    unknown = [name for name in unknown if not name.startswith(OF_ROS)]
-    if not unknown:
-        return
     for_all = {name for _, sections in _files(arguments) for name in sections.get(ALL, ())}
-    of_any = set().union(*declared().values())
-    for name in unknown:
-        if name not in for_all & of_any:
+    of_others = for_all & set().union(*declared().values())
+    for name in sorted({*overrides} - {*known} - of_others):
+        if not name.startswith(OF_ROS):
             raise InputError(
                 f'parameter {name}: {node} has none of that name; {suggestion(name, known)}known: '
                 f'{", ".join(sorted(known))}'
@@ -322,7 +318,7 @@ class RemoteParameter:
     def __init__(self, node: Node, other: str, name: str) -> None:
         """Create the clients."""
         self._name, self._other = name, other
-        self._replaced: Callable[[], object] = lambda: None  # answers a `put` that is pending
+        self._answer: Callable[[bool, str], object] | None = None  # to a `put` that is pending
         self._get = Request(node, GetParameters, f'{other}/get_parameters')
         self._set = Request(node, SetParametersAtomically, f'{other}/set_parameters_atomically')
 
@@ -341,18 +337,19 @@ class RemoteParameter:
 
     def put(self, value: str, answer: Callable[[bool, str], object]) -> None:
         """Set the value; `answer` gets, in any case, whether it was accepted, and why not."""
-        self._replaced()
-        self._replaced = lambda: answer(False, 'another value took its place')
+        self._answered(False, 'another value took its place')
+        self._answer = answer
         message = Parameter(self._name, value=value).to_parameter_msg()
         request = SetParametersAtomically.Request(parameters=[message])
+        if not self._set.ask(
+            request, lambda given: self._answered(given.result.successful, given.result.reason)
+        ):
+            self._answered(False, f'{self._other} does not answer: is it running?')
 
-        def done(response: SetParametersAtomically.Response) -> None:
-            self._replaced = lambda: None
-            answer(response.result.successful, response.result.reason)
-
-        if not self._set.ask(request, done):
-            self._replaced = lambda: None
-            answer(False, f'{self._other} does not answer: is it running?')
+    def _answered(self, accepted: bool, reason: str) -> None:
+        answer, self._answer = self._answer, None
+        if answer is not None:
+            answer(accepted, reason)
 
 
 def watch_robot(node: Node, controller: str, take: Callable[[Robot], object]) -> None:

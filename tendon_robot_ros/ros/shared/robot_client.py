@@ -29,7 +29,6 @@ from ...robot import load_robot
 from ...robot.keep_out import joined, text_of
 from . import interface, messages
 from .parameters import RemoteParameter, declared
-from .quality import COMMAND
 from .runtime import SPIN_S, ClientNode, Ending
 from .timing import CALL_TIMEOUT_S, MOVE_TIMEOUT_S, REACTION_TIMEOUT_S, SILENCE_S
 
@@ -123,7 +122,7 @@ class Pilot(ClientNode):
         predicted = partial(tip, 'predicted')
         interface.subscribe(self, 'controller/predicted_tip', predicted, controller)
         interface.subscribe(self, 'measured_tip', partial(tip, 'measured'))
-        interface.subscribe(self, 'tendon_command', command, heard=COMMAND)
+        interface.subscribe(self, 'tendon_command', command, heard=interface.COMMAND)
 
     @property
     def status(self) -> dict[str, str]:

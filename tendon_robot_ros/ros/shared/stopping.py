@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from ...common.local_stop import Stoppable
 from ...common.processes import go_realtime
-from .quality import LATCHED
+from .interface import LATCHED
 from .runtime import ClientNode, ros
 from .timing import NEWS_PERIOD_S, STOP_ANSWER_S
 

@@ -31,7 +31,6 @@ from ..shared import interface
 from ..shared.lifecycle import OK, Status
 from ..shared.messages import Request, header_now, point, points_of, status_values
 from ..shared.parameters import ParameterNode, watch_robot
-from ..shared.quality import STATE
 from ..shared.runtime import repeat, run
 from .page import LivePage
 from .state import PANEL_PERIOD_S, ViewState
@@ -114,7 +113,7 @@ class ViewerNode(ParameterNode):
         for key, name in names.items():
             interface.subscribe(self, 'node/status', partial(status, key), name)
         progress = keep('progress', lambda m: m.data)
-        interface.subscribe(self, 'monitor/progress', progress, names['monitor'], STATE)
+        interface.subscribe(self, 'monitor/progress', progress, names['monitor'], interface.STATE)
         topics: dict[str, Callable[[Any], None]] = {
             'tendon_states': states,
             'controller/predicted_tip': predicted_tip,
