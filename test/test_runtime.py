@@ -299,11 +299,12 @@ from tendon_robot_ros.ros.shared.runtime import Runnable, run
 
 
 class Quiet(Runnable):
-    def start(self):
+    def __init__(self):
+        super().__init__('quiet')
         print('runs', flush=True)
 
 
-code = run(lambda: Quiet('quiet'), [])
+code = run(Quiet, [])
 print('over', flush=True)
 sys.stdin.readline()
 sys.exit(code)

@@ -45,16 +45,13 @@ class RobotModelNode(ParameterNode):
             from tf2_ros import TransformBroadcaster
 
             self._broadcaster = TransformBroadcaster(self)
+        else:
+            self.get_logger().info('no tf2_ros, or publish_tf is false: frames are not published')
         interface.subscribe(self, 'controller/predicted_shape', self._shape, controller)
         if self.parameters['robot']:
             self._take(load_robot(self.parameters['robot']))
         else:
             watch_robot(self, controller, self._take)
-
-    def start(self) -> None:
-        """Log it if no frames are published."""
-        if self._broadcaster is None:
-            self.get_logger().info('no tf2_ros, or publish_tf is false: frames are not published')
 
     def _take(self, robot: Robot) -> None:
         """Use a robot, the first one: its cells do not change at run time."""

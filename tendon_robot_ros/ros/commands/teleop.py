@@ -54,9 +54,6 @@ class TeleopNode(ParameterNode):
         self._terminal = termios.tcgetattr(sys.stdin)
         tty.setcbreak(sys.stdin)
         repeat(self, NEWS_PERIOD_S, self._cycle)
-
-    def start(self) -> None:
-        """Print the keys."""
         print(LEGEND, end='', flush=True)
 
     def running(self) -> bool:

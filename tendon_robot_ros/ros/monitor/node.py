@@ -83,13 +83,10 @@ class MonitorNode(ParameterNode):
         # its response is a file for `investigate`, not for users
         messages.offer_trigger(self, '~/change', lambda: self._watched().watch.change())
         repeat(self, VALUES_PERIOD_S, self._cycle)
-        if not self.parameters['model']:
+        if own := self.parameters['model']:
+            self._load(own)
+        else:
             repeat(self, STATUS_PERIOD_S, lambda: self._remote.ask(self._load))
-
-    def start(self) -> None:
-        """Load the model of the parameter, if there is one."""
-        if self.parameters['model']:
-            self._load(self.parameters['model'])
 
     def end(self) -> None:
         """Cancel a running diagnosis."""
@@ -336,8 +333,7 @@ class MarkerInput:
             self._taker(*frame)
 
     def _take(self, at: float, points: Floats) -> None:
-        if self._waiting is not None:
-            self.hand_over(late=at - self._monitor.states.newest > VALUES_PERIOD_S)
+        self.hand_over(late=at - self._monitor.states.newest > VALUES_PERIOD_S)
         self._waiting = at, points
         self.hand_over()
 

@@ -139,9 +139,6 @@ Ending()  # of a process in which `ros` has not made one
 class Runnable(Node):
     """A node as `run` expects it."""
 
-    def start(self) -> None:
-        """Start; called once before the first spin."""
-
     def running(self) -> bool:
         """Return whether to go on; called after every spin."""
         return True
@@ -272,22 +269,19 @@ def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = Fa
         processes.print_without_waiting()
     with ros(arguments, first) as ending:
         executor = make_executor()
-        runnable = None
-        code = 0
+        runnable, code = None, 1
         try:
             runnable = make()
             executor.add_node(runnable)
             ending.then(lambda: executor.create_task(lambda: None))  # ends its wait
-            runnable.start()
             gc.freeze()  # imported objects stay: a collection need not scan them
             while not ending.signal and runnable.running():
                 executor.spin_once(timeout_sec=SPIN_S)
+            code = 0
         except TendonRobotError as error:
             print('error:', ' '.join(str(error).split()), file=sys.stderr)
-            code = 1
         except Exception:
             traceback.print_exc()
-            code = 1
         finally:
             if runnable is not None:
                 try:

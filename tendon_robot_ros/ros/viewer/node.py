@@ -79,10 +79,7 @@ class ViewerNode(ParameterNode):
             self.page.resize(robot.length)
 
         watch_robot(self, names['controller'], take)
-
-    def start(self) -> None:
-        """Log the address of the page."""
-        self.get_logger().info(f'open http://{self.parameters["host"]}:{self.page.port}')
+        self.get_logger().info(f'open http://{host}:{self.page.port}')
 
     def end(self) -> None:
         """Close the page."""
