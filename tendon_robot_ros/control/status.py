@@ -198,8 +198,8 @@ class Progress:
     tip: Floats | None = None  # position of the model, corrected by the tracker
     frame: Floats | None = None  # (3, 3) of the tip
     distance: float = np.nan  # [m] from the tip to the target of this step
-    desired: Floats | None = None  # the trajectory now
-    actual: Floats | None = None  # as measured, nan where not observable
+    desired: Floats = field(default_factory=lambda: np.zeros(0))  # the trajectory now
+    actual: Floats = field(default_factory=lambda: np.zeros(0))  # nan where not observable
 
 
 @dataclass

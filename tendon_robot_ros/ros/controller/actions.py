@@ -85,15 +85,12 @@ class TendonTrajectory:
 
     def feedback(self, progress: Progress, header: Header) -> Any:
         """Return the feedback message of a goal."""
-        quantity, nothing = 'positions' if self._pull else 'effort', np.array([])
-        desired, actual = (
-            nothing if values is None else values for values in (progress.desired, progress.actual)
-        )
-        error = desired - actual if desired.size == actual.size else nothing
-        passed = duration(progress.passed)
+        quantity, passed = 'positions' if self._pull else 'effort', duration(progress.passed)
+        desired, actual = progress.desired, progress.actual
+        rows = {'desired': desired, 'actual': actual, 'error': desired - actual}
         points = {
             name: JointTrajectoryPoint(time_from_start=passed, **{quantity: values.tolist()})
-            for name, values in (('desired', desired), ('actual', actual), ('error', error))
+            for name, values in rows.items()
         }
         header = Header(stamp=header.stamp)  # joints have no frame
         return self.type.Feedback(header=header, joint_names=list(self._inputs), **points)

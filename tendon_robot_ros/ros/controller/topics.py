@@ -40,6 +40,7 @@ class Incoming:
     def __init__(self, node: ParameterNode, model: Model) -> None:
         """Create the transforms and use a model."""
         self._node, self._parameters = node, node.parameters
+        self.pull = self._parameters['command_mode'] == 'pull'  # whether wire pulls are commanded
         self._frames = messages.Frames(node, '')
         self.use(model)
 
@@ -50,11 +51,6 @@ class Incoming:
         self.tip = parameters['frame_prefix'] + (parameters['tip_frame'] or f'{robot.name}_tip')
         self._frames.base, self.model = self.base, model
         self._farthest = 1.5 * robot.length  # [m]
-
-    @property
-    def pull(self) -> bool:
-        """Whether wire pulls are commanded."""
-        return bool(self._parameters['command_mode'] == 'pull')
 
     def pose(self, message: PoseStamped, what: str = 'target_pose') -> Target:
         """Return a target with position and approach direction (+z of the orientation)."""

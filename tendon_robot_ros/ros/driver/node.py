@@ -63,12 +63,10 @@ class DriverNode(StoppableNode):
         self._check_due = ''  # why the tendons need a check
         self._cycle: Cycle | None = None
         self.listen()
-        offer_trigger(self, '~/reset', self._reset)
-        for name, act, outcome in (
-            ('resume', lambda loop: loop.supervisor.resume(), 'waiting for commands'),
-            ('reboot', MotorLoop.reboot, 'rebooted; call reset next'),
-        ):
-            offer_trigger(self, f'~/{name}', partial(self._try, act, outcome))
+        resume = partial(self._try, lambda loop: loop.supervisor.resume(), 'waiting for commands')
+        reboot = partial(self._try, MotorLoop.reboot, 'rebooted; call reset next')
+        for name, act in (('reset', self._reset), ('resume', resume), ('reboot', reboot)):
+            offer_trigger(self, f'~/{name}', act)
         repeat(self, VALUES_PERIOD_S, self._publish_status)  # a release is published at once
         # starts the release; the main thread calls `deactivate` later
         Ending.current.then(partial(self.latch.stop, INACTIVE, INACTIVE_REASON))

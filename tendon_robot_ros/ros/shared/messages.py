@@ -314,6 +314,7 @@ class Request:
     def __init__(self, node: Node, kind: Any, service: str) -> None:
         """Create the client."""
         self._client = node.create_client(kind, service)
+        self.name = str(self._client.srv_name)  # in full
         self._future: Future | None = None
         self._sent_at = float('-inf')
 
@@ -326,11 +327,6 @@ class Request:
     def age(self) -> float:
         """The time [s] since it was sent."""
         return time.monotonic() - self._sent_at
-
-    @property
-    def name(self) -> str:
-        """The full name of the service."""
-        return str(self._client.srv_name)
 
     @property
     def ready(self) -> bool:

@@ -106,17 +106,13 @@ class LivePage:
             self._server = viser.ViserServer(host=host, port=port, verbose=False)
         except OSError as error:
             raise DriverError(f'port {port}: {error.strerror}; choose another port') from None
+        self.port = int(self._server.get_port())  # in use
         self.commands: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._token, self._allowed, self._size = token, set[int](), size
         self._views: dict[int, View] = {}  # client -> where its camera was placed
         self._scene()
         self._panel()
         self._server.on_client_connect(self._welcome)
-
-    @property
-    def port(self) -> int:
-        """The port in use."""
-        return int(self._server.get_port())
 
     @property
     def clients(self) -> int:
