@@ -123,10 +123,10 @@ def test_a_file_for_other_nodes_is_named_or_refused(content, tmp_path):
     arguments = ['--ros-args', '--params-file', str(file)]
     if said is REFUSED:
         with pytest.raises(InputError, match=r'parameters.yaml: its parameters are for') as caught:
-            check_files(arguments, node)
+            list(check_files(arguments, node))
         told = [str(caught.value)]
     else:
-        told = check_files(arguments, node)
+        told = list(check_files(arguments, node))
     assert len(told) == (said is not TAKEN)
     for line in told:
         assert content.partition(':')[0].strip('/') in line

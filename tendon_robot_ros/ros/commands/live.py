@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -56,8 +56,8 @@ STARTING_CODES = (None, 'loading', 'compiling', 'building', 'not_ready')
 
 def nodes_of(
     options: argparse.Namespace, robot: Robot, hidden: Hidden, seed: int, folder: Path
-) -> list[tuple[str, dict[str, object], list[str]]]:
-    """Return the commands of the nodes, with their parameters and arguments; files in a folder."""
+) -> Iterator[tuple[str, dict[str, object], list[str]]]:
+    """Yield the commands of the nodes, with their parameters and arguments; files in a folder."""
     described = folder / 'paper.yaml'
     described.write_text(dump_robot(robot), encoding='utf-8')
     config = {
@@ -72,15 +72,12 @@ def nodes_of(
     # [Hz] so that a busy machine has time for the other nodes
     rate = {'rate': 100.0} if options.headless else {}
     watched = {'path': 'from_straight', 'force_rate': 5.0, 'reference_postures': 20.0}
-    nodes: list[tuple[str, dict[str, object], list[str]]] = [
-        ('driver', {'robot': str(described), 'config': plain, **rate}, []),
-        ('controller', {'model': str(described), **rate}, []),
-        ('monitor', {'folder': str(folder / 'recordings'), **watched}, []),
-    ]
+    yield 'driver', {'robot': str(described), 'config': plain, **rate}, []
+    yield 'controller', {'model': str(described), **rate}, []
+    yield 'monitor', {'folder': str(folder / 'recordings'), **watched}, []
     if not options.headless:
-        own = ['--wait', *INVESTIGATION, str(folder / 'found')]
-        nodes += [('viewer', {'port': options.port}, []), ('investigate', {}, own)]
-    return nodes
+        yield 'viewer', {'port': options.port}, []
+        yield 'investigate', {}, ['--wait', *INVESTIGATION, str(folder / 'found')]
 
 
 def play(

@@ -226,7 +226,7 @@ def check_overrides(
             )
 
 
-def check_files(arguments: Sequence[str], node: str) -> list[str]:
+def check_files(arguments: Sequence[str], node: str) -> Iterator[str]:
     """
     Find files of parameters that have none for a node.
 
@@ -237,10 +237,10 @@ def check_files(arguments: Sequence[str], node: str) -> list[str]:
     node : str
         Name of the node, with its namespace.
 
-    Returns
-    -------
-    list of str
-        Warnings about files for other nodes of this package: a launch file may give one file
+    Yields
+    ------
+    str
+        Warning about a file for other nodes of this package: a launch file may give one file
         to several nodes.
 
     Raises
@@ -249,7 +249,6 @@ def check_files(arguments: Sequence[str], node: str) -> list[str]:
         A file is for no node of this package.
 
     """
-    warnings = []
     for file, keys in _files(arguments):
         # whether one matches this node, by the rules of rcl
         escaped = [re.escape(key) for key in keys]
@@ -260,8 +259,7 @@ def check_files(arguments: Sequence[str], node: str) -> list[str]:
         names = [key.rpartition('/')[2] for key in keys]
         if node.rpartition('/')[2] in names or not any(name in declared() for name in names):
             raise InputError(f'{problem}; write {node}: or /**: as the first line')
-        warnings.append(f'{problem}, which takes none of them')
-    return warnings
+        yield f'{problem}, which takes none of them'
 
 
 def _files(arguments: Sequence[str]) -> Iterator[tuple[str, dict[str, dict[str, Any]]]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -127,7 +127,7 @@ def curve(
     axes = _Axes(max(1.15 * min(max(sizes), usual), 0.6))
     points = ' '.join(f'{axes.x(age):.1f},{axes.y(min(e, axes.top)):.1f}' for age, e in shown)
     cut = f', peaks up to {digits(max(sizes), 2)} are cut off' if max(sizes) > axes.top else ''
-    parts = axes.grid(floor)
+    parts = [*axes.grid(floor)]
     parts.append(f'<polyline points="{points}" fill="none" stroke="{MEASURED}" stroke-width="2"/>')
     for at, text in marks:  # when an effect was added
         if (age := now - at) <= CURVE_SPAN_S:
@@ -162,12 +162,12 @@ class _Axes:
         """Return the ordinate [px] of an error [mm]."""
         return self.base * (1.0 - error / self.top) + 4
 
-    def grid(self, floor: float | None) -> list[str]:
-        """Return the grid, and the noise floor [m] as a band."""
-        parts, zero = [], self.y(0.0)
+    def grid(self, floor: float | None) -> Iterator[str]:
+        """Yield the grid, and the noise floor [m] as a band."""
+        zero = self.y(0.0)
         if floor is not None and np.isfinite(floor):
             band = zero - self.y(min(1e3 * floor, self.top))
-            parts.append(
+            yield (
                 f'<rect x="{self.left}" y="{zero - band:.1f}" width="{self.width - self.left}" '
                 f'height="{band:.1f}" fill="{ERROR}" opacity="0.25"/>'
                 f'<text x="{self.left + 4}" y="{zero - 4:.1f}" fill="{INK}" '
@@ -176,15 +176,14 @@ class _Axes:
         step = round_length(self.top / 2.0)
         for i in range(int(self.top / step) + 1):
             tick = self.y(i * step)
-            parts.append(
+            yield (
                 f'<path d="M{self.left} {tick:.1f}H{self.width}" stroke="#e0e4e8"/><text '
                 f'x="{self.left - 5}" y="{tick + 4:.1f}" text-anchor="end">'
                 f'{round(i * step, 6):g}</text>'
             )
         below = f'y="{self.height - 4}"'
-        parts.append(f'<text x="{self.width}" {below} text-anchor="end">now</text>')
-        parts.append(f'<text x="{self.left}" {below}>2 minutes ago</text>')
-        return parts
+        yield f'<text x="{self.width}" {below} text-anchor="end">now</text>'
+        yield f'<text x="{self.left}" {below}>2 minutes ago</text>'
 
 
 def bars(names: Sequence[str], tensions: Sequence[float], low: float, high: float) -> str:
