@@ -175,11 +175,6 @@ def test_the_rolling_error_holds_nothing_of_before_the_clock_was_set_back(model)
     assert compared[-1].rolling < 1e-6
 
 
-def test_a_shape_with_another_number_of_poses_is_refused(model):
-    with pytest.raises(InputError, match='expected 30 poses, one for each of the markers'):
-        Monitor(model).put_frame(0.0, np.zeros((3, 3)))
-
-
 def test_two_postures_are_needed(model):
     monitor, _ = watched(model, model, POSTURES[:1])
     with pytest.raises(DataSetError, match='record two or more'):

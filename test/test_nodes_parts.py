@@ -17,7 +17,7 @@ pytest.importorskip('rclpy')
 
 import rclpy
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped, Quaternion
+from geometry_msgs.msg import Pose, PoseArray, PoseStamped, Quaternion
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -365,6 +365,13 @@ def test_a_monitor_compares_again_after_states_of_another_robot(monitor):
     assert monitor.code() == 'problem'
     MonitorNode._states(monitor, JointState(name=['one', 'two'], effort=[1.0, 1.0]))
     assert monitor.code() == 'comparing'
+
+
+def test_a_shape_with_another_number_of_poses_is_refused():
+    tracker, message = MagicMock(markers=range(30), problem=''), PoseArray(poses=3 * [Pose()])
+    monitor_node.MarkerInput._shape(tracker, message)
+    assert 'measured_shape: expected 30 poses, one for each of the markers' in tracker.problem
+    assert not tracker._give.called
 
 
 @pytest.mark.parametrize('other', ['nowhere.yaml', 'spatial_3'])

@@ -306,11 +306,6 @@ class Monitor:
 
     def put_frame(self, time: float, positions: Floats) -> Compared | None:
         """Add a frame (J, 3) [m] and return it with its prediction, None without one."""
-        if positions.shape != (len(self.markers), 3):
-            raise InputError(
-                f'measured shape: expected {len(self.markers)} poses, one for each of the markers '
-                f'(nan where it was not seen), got {len(positions)}'
-            )
         state = self.states.at(time)
         if state is None:
             self.problem = 'no tendon_states at the time of the tracker: is the driver running?'

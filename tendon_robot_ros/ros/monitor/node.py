@@ -154,7 +154,6 @@ class MonitorNode(ParameterNode):
         """Compare a frame of the tracker with the model and publish the errors."""
         assert self.monitor is not None
         before = len(self.monitor.recorded)
-        # `MarkerInput` has checked the number of markers
         compared = self.monitor.put_frame(at, positions)
         if len(self.monitor.recorded) > before:
             self._publish_progress(f'recording: {len(self.monitor.recorded)} postures')

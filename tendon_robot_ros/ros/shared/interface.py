@@ -14,7 +14,6 @@ from typing import Any
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
 
 from ...common.yaml_reading import parse_yaml
 
@@ -88,9 +87,9 @@ def subscribe(
     callback: Callable[[Any], None],
     at: str = '~',
     heard: QoSProfile | None = None,
-) -> Subscription:
+) -> None:
     """Subscribe to a topic; publishers of any reliability are heard unless `heard` says how."""
     kind, full_name, published = topic(name, at)
     latched = published.durability == LATCHED.durability
     heard = heard or (published if latched else LISTEN)
-    return node.create_subscription(kind, full_name, callback, heard)
+    node.create_subscription(kind, full_name, callback, heard)

@@ -295,8 +295,7 @@ def read_config(text: str) -> dict[str, Any]:
         raise InputError(
             f'config: expected at most {DESCRIPTION_MAX:,} characters, got more than that'
         )
-    content: dict[str, Any] = parsed(text, 'config', dict, 'keys with values')
-    return content
+    return dict(parsed(text, 'config', dict, 'keys with values'))
 
 
 def parsed(text: str, what: str, kind: type, expected: str = '') -> Any:
