@@ -182,12 +182,9 @@ class ControllerNode(StoppableNode):
             def tip(core: ControllerCore, incoming: Incoming, message: PoseStamped) -> None:
                 core.tip_measured(time.monotonic(), incoming.measured_tip(message))
 
-            self._tracker = passing_subscription(
-                self,
-                *interface.topic('measured_tip')[:2],
-                partial(self._take, 'tip', tip),
-                interface.LISTEN,
-            )
+            kind, topic, _ = interface.topic('measured_tip')
+            take = partial(self._take, 'tip', tip)
+            self._tracker = passing_subscription(self, kind, topic, take, interface.LISTEN)
 
     def _take(
         self, kind: str, action: Callable[[ControllerCore, Incoming, Any], None], message: Any

@@ -82,10 +82,8 @@ class Incoming:
         linear, angular = map(messages.xyz, (message.twist.linear, message.twist.angular))
         values = finite([*linear, *angular], what)
         if np.abs(values[:3]).max() > 1.0 or np.abs(values[3:]).max() > 10.0:
-            raise Refusal(
-                'too_fast',
-                f'delta_twist: expected at most 1 m/s and 10 rad/s, got {values.tolist()}',
-            )
+            expected = 'expected at most 1 m/s and 10 rad/s'
+            raise Refusal('too_fast', f'{what}: {expected}, got {values.tolist()}')
         return Twist(axes @ values[:3], axes @ values[3:], frame == self.tip)
 
     def states(self, message: JointState) -> tuple[Floats, Floats]:

@@ -168,10 +168,8 @@ class Watching:
         state = self.watch.state
         content: dict[str, Any] = {'text': self.watch.text, 'alarm': self.drifted}
         if state is not None and state.alarm:
-            content |= {
-                'postures': state.postures,
-                'suspects': [vars(suspect) for suspect in state.suspects],
-            }
+            suspects = [vars(suspect) for suspect in state.suspects]
+            content |= {'postures': state.postures, 'suspects': suspects}
         text = json.dumps(content)
         if text != self._published:
             self._published = text

@@ -173,18 +173,12 @@ class StoppableNode(ParameterNode, LifecycleNode):
     def listen(self, *services: Service) -> None:
         """Receive stops and answer services in a thread of their own."""
         stop = Service(self, '~/stop', lambda send: send(True, self.stop_called()))
-        self.stop_topic = StopTopic(
-            self,
-            partial(self.stop_now, STOP_TOPIC, lasting=True),
-            partial(self.latch.cause_removed, STOP_TOPIC),
-            [stop, *services],
-        )
-        self._local_stop = StopListener(
-            self.context.get_domain_id(),
-            Stoppable(self.get_fully_qualified_name(), self._drives),
-            self.stop_now,
-        )
-        self.closing += self.stop_topic, self._local_stop
+        by_topic = partial(self.stop_now, STOP_TOPIC, lasting=True)
+        cleared = partial(self.latch.cause_removed, STOP_TOPIC)
+        self.stop_topic = StopTopic(self, by_topic, cleared, [stop, *services])
+        who = Stoppable(self.get_fully_qualified_name(), self._drives)
+        local_stop = StopListener(self.context.get_domain_id(), who, self.stop_now)
+        self.closing += self.stop_topic, local_stop
 
     def stop_called(self) -> str:
         """Stop; return what follows, as the service `~/stop` answers."""
