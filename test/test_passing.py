@@ -29,7 +29,7 @@ def test_what_is_destroyed_while_an_event_of_the_middleware_waits_ends_nobody():
     executor.add_node(node)
     for _ in range(3):
         ears = [
-            *subscribe_any_qos(node, PointStamped, 'target', print, print),
+            *subscribe_any_qos(node, PointStamped, 'target', print),
             passing_subscription(node, PointStamped, 'twist', print, COMMAND),
         ]
         said = passing_publisher(node, PointStamped, 'tip', LISTEN)

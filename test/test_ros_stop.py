@@ -143,7 +143,7 @@ def test_a_tracker_is_heard_while_the_loop_is_closed(running):
 @pytest.mark.parametrize(('qos', 'ways'), [(COMMAND, 2), (LISTEN, 1)])
 def test_what_comes_by_two_ways_is_heard_once(running, qos, ways):
     heard, node = [], running.node
-    ears = subscribe_any_qos(node, PointStamped, 'anything', heard.append, heard.append)
+    ears = subscribe_any_qos(node, PointStamped, 'anything', heard.append)
     person = node.create_publisher(PointStamped, 'anything', qos)
 
     def begun():

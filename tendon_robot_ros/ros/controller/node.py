@@ -45,6 +45,7 @@ from .topics import DriverLink, Incoming, Prediction
 
 HELP = 'move the tip to targets: poses, points or twists in, tendon commands out'
 
+Action = Callable[[ControllerCore, Incoming, Any], None]  # what a message of a topic does
 STARTING_WORDS = {
     'loading': 'reading the model',
     'compiling': COMPILING,
@@ -127,7 +128,7 @@ class ControllerNode(StoppableNode):
         if self._actions is None:
             self._actions = Actions(self)
         now = time.monotonic
-        actions: dict[str, Callable[[ControllerCore, Incoming, Any], None]] = {
+        actions: dict[str, Action] = {
             'controller/delta_twist': lambda core, new, one: core.twist(now(), new.twist(one)),
             'controller/target_pose': lambda core, new, one: core.aim(new.pose(one)),
             'controller/target_point': lambda core, new, one: core.aim(new.point(one)),
@@ -135,10 +136,6 @@ class ControllerNode(StoppableNode):
                 lambda core, new, one: core.play(now(), new.trajectory(one))
             ),
         }
-
-        def too_long(problem: str) -> None:
-            if self.core is not None:
-                self.core.refusals['target'] = Refusal('length', problem)
 
         for name, action in actions.items():
             kind, topic, _ = interface.topic(name)
@@ -148,7 +145,7 @@ class ControllerNode(StoppableNode):
                     passing_subscription(self, kind, topic, take, interface.LISTEN)
                 )
             else:
-                self._targets += subscribe_any_qos(self, kind, topic, take, too_long)
+                self._targets += subscribe_any_qos(self, kind, topic, take)
 
     def deactivate(self) -> None:
         """Have the arm released, and send no more commands."""
@@ -186,15 +183,15 @@ class ControllerNode(StoppableNode):
             take = partial(self._take, 'tip', tip)
             self._tracker = passing_subscription(self, kind, topic, take, interface.LISTEN)
 
-    def _take(
-        self, kind: str, action: Callable[[ControllerCore, Incoming, Any], None], message: Any
-    ) -> None:
+    def _take(self, kind: str, action: Action, message: Any) -> None:
         """Apply an action to a message, or keep its refusal for the status."""
         core = self.core
         if core is None:
             return
         began = time.monotonic()
         try:
+            if isinstance(message, Refusal):  # it could not be read
+                raise message
             action(core, self._incoming, message)
         except Refusal as refusal:
             core.refusals[kind] = refusal
@@ -236,8 +233,8 @@ class ControllerNode(StoppableNode):
         for received in self._inbox.take():
             self._take('states', self._states, received)
         now = time.monotonic()
-        if (problem := self._inbox.refused()) and core is not None:
-            core.refusals['states'] = Refusal('length', problem)
+        if refusal := self._inbox.refused():
+            self._take('states', self._states, refusal)
         if core is None or self.phase != 'active':
             self._idle()
             return

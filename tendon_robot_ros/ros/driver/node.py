@@ -143,8 +143,7 @@ class DriverNode(StoppableNode):
                 self._take(received)
             except Refusal as refusal:
                 self._refusal = refusal
-        if problem := self._inbox.refused():
-            self._refusal = Refusal('length', problem)
+        self._refusal = self._inbox.refused() or self._refusal
         if self._senders.died() and self.loop is not None:
             self.loop.let_go('the sender of the commands has died')
 

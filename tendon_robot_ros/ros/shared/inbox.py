@@ -28,6 +28,7 @@ from rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
+from ...control.inputs import Refusal
 from . import interface
 from .messages import passing_subscription
 from .timing import SILENCE_S, VALUES_PERIOD_S
@@ -108,7 +109,8 @@ class Inbox[M]:
 
     def __init__(self, node: Node, kind: type[M], topic: str, qos: QoSProfile) -> None:
         """Subscribe."""
-        self.topic, self._kind, self._problem = topic, kind, ''
+        self._topic, self._kind = topic, kind
+        self._refusal: Refusal | None = None  # of the last message that could not be read
         self.handle = polled(node, kind, topic, qos)
         self._info = _Info()  # of the last message
         self._take_bytes = ctypes.CDLL('librcl.so').rcl_take_serialized_message
@@ -127,19 +129,19 @@ class Inbox[M]:
         with self.handle:
             while not self._take_bytes(*self._arguments):  # it fails when there is none
                 data = ctypes.string_at(self._bytes.buffer, self._bytes.length)
-                problem, message = _read(data, self._kind)
-                if problem:
-                    self._problem = problem
+                message = _read(data, self._kind, self._topic)
+                if isinstance(message, Refusal):
+                    self._refusal = message
                     continue
                 info = self._info
                 gid = bytes(info.publisher)
                 messages.append(Received(message, info.sent, max(info.number, 0), gid))
         return messages
 
-    def refused(self) -> str:
-        """Return why a message since the last call was invalid, '' for none."""
-        problem, self._problem = self._problem, ''
-        return problem and f'{self.topic}: {problem}'
+    def refused(self) -> Refusal | None:
+        """Return why a message since the last call was invalid, None for none."""
+        refusal, self._refusal = self._refusal, None
+        return refusal
 
     def close(self) -> None:
         """Unsubscribe."""
@@ -147,15 +149,15 @@ class Inbox[M]:
         self.handle.destroy_when_not_in_use()
 
 
-def _read(data: bytes, kind: type) -> tuple[str, Any]:
-    """Return why bytes are no valid message ('': they are) and the message."""
-    if len(data) > MESSAGE_BYTES_MAX:
-        return f'expected at most {MESSAGE_BYTES_MAX:,} bytes, got {len(data):,}', None
-    try:
-        return '', deserialize_message(data, kind)
-    except _rclpy.RMWError:
-        name = kind.__name__
-        return f'expected a message {name}, got {len(data):,} bytes that are none', None
+def _read[M](data: bytes, kind: type[M], what: str) -> M | Refusal:
+    """Return the message in bytes, or why they are none."""
+    expected = f'at most {MESSAGE_BYTES_MAX:,} bytes, got {len(data):,}'
+    if len(data) <= MESSAGE_BYTES_MAX:
+        try:
+            return deserialize_message(data, kind)
+        except _rclpy.RMWError:
+            expected = f'a message {kind.__name__}, got {len(data):,} bytes that are none'
+    return Refusal('length', f'{what}: expected {expected}')
 
 
 Answer = Callable[[bool, str], None]
@@ -201,18 +203,14 @@ class Service:
 
 
 def subscribe_any_qos[M](
-    node: Node,
-    kind: type[M],
-    topic: str,
-    handle: Callable[[M], None],
-    refuse: Callable[[str], None],
+    node: Node, kind: type[M], topic: str, handle: Callable[[M | Refusal], None]
 ) -> list[Subscription]:
     """
     Subscribe to publishers of any quality of service; return the subscriptions.
 
     A best-effort subscription matches all publishers, a reliable one loses no message of those
-    that are reliable; a message that arrives by both is handled once. A message that is too long
-    to be parsed between commands is refused.
+    that are reliable; a message that arrives by both is handled once. In place of a message that
+    is too long to be parsed between commands, its refusal is handled.
     """
     # compared by their bytes, because the executor of events of rclpy 7.1.6 fails where a callback
     # takes the sequence number, too
@@ -227,11 +225,7 @@ def subscribe_any_qos[M](
             waiting.remove(same)
             return
         waiting.append((now, path, message))
-        problem, read = _read(message, kind)
-        if problem:
-            refuse(f'{topic.removeprefix("~/")}: {problem}')
-        else:
-            handle(read)
+        handle(_read(message, kind, topic.removeprefix('~/')))
 
     return [
         passing_subscription(node, kind, topic, partial(receive, path=path), qos, raw=True)

@@ -289,7 +289,7 @@ def attempted(act: Callable[[], str]) -> tuple[bool, str]:
 
 def offer_trigger(
     node: Node,
-    service: str,
+    name: str,
     act: Callable[[], str],
     then: Callable[[str], object] = lambda text: None,
 ) -> None:
@@ -305,7 +305,7 @@ def offer_trigger(
         then(response.message)
         return response
 
-    node.create_service(Trigger, service, respond)
+    node.create_service(Trigger, name, respond)
 
 
 class Request:
