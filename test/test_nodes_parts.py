@@ -368,10 +368,9 @@ def test_a_monitor_compares_again_after_states_of_another_robot(monitor):
 
 
 def test_a_shape_with_another_number_of_poses_is_refused():
-    tracker, message = MagicMock(markers=range(30), problem=''), PoseArray(poses=3 * [Pose()])
-    monitor_node.MarkerInput._shape(tracker, message)
-    assert 'measured_shape: expected 30 poses, one for each of the markers' in tracker.problem
-    assert not tracker._give.called
+    tracker, message = MagicMock(markers=range(30)), PoseArray(poses=3 * [Pose()])
+    with pytest.raises(Refusal, match='measured_shape: expected 30 poses, one for each of the'):
+        monitor_node.MarkerInput._shape(tracker, message)
 
 
 @pytest.mark.parametrize('other', ['nowhere.yaml', 'spatial_3'])

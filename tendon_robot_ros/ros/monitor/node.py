@@ -18,6 +18,7 @@ from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
@@ -318,11 +319,11 @@ class MarkerInput:
                     raise InputError(
                         f'measured_markers: expected names of {", ".join(indices)}, got {name!r}'
                     )
-                callback = partial(self._marker, indices[str(name)])
+                callback = partial(self._heard, partial(self._marker, indices[str(name)]))
                 node.create_subscription(PoseStamped, str(topic), callback, interface.LISTEN)
         else:
-            interface.subscribe(node, 'measured_shape', self._shape)
-            interface.subscribe(node, 'measured_tip', self._tip)
+            interface.subscribe(node, 'measured_shape', partial(self._heard, self._shape))
+            interface.subscribe(node, 'measured_tip', partial(self._heard, self._tip))
         self._shape_at = -np.inf
 
     def hand_over(self, late: bool = False) -> None:
@@ -330,6 +331,13 @@ class MarkerInput:
         if self._waiting is not None and (late or self._monitor.states.newest >= self._waiting[0]):
             frame, self._waiting = self._waiting, None
             self._taker(*frame)
+
+    def _heard(self, use: Callable[[Any], None], message: Any) -> None:
+        """Use a message, or keep its refusal for the status."""
+        try:
+            use(message)
+        except Refusal as refusal:
+            self.problem = str(refusal)
 
     def _take(self, at: float, points: Floats) -> None:
         self.hand_over(late=at - self._monitor.states.newest > VALUES_PERIOD_S)
@@ -339,25 +347,23 @@ class MarkerInput:
     def _shape(self, message: PoseArray) -> None:
         points = messages.points_of(message)
         if len(points) != len(self.markers):
-            self.problem = (
+            raise Refusal(
+                'length',
                 f'measured_shape: expected {len(self.markers)} poses, one for each of the markers '
-                f'(nan where it was not seen), got {len(points)}'
+                f'(nan where it was not seen), got {len(points)}',
             )
-            return
         self._shape_at = messages.time_now(self._node)
-        self._give(message.header, points, 'measured_shape')
+        self._take(*self._in_base(message.header, points, 'measured_shape'))
 
     def _tip(self, message: PoseStamped) -> None:
         # a shape has more markers
         if messages.time_now(self._node) - self._shape_at >= SILENCE_S:
             points = self._only(len(self.markers) - 1, message)
-            self._give(message.header, points, 'measured_tip')
+            self._take(*self._in_base(message.header, points, 'measured_tip'))
 
     def _marker(self, index: int, message: PoseStamped) -> None:
         """Merge markers on topics of their own into frames."""
         new = self._in_base(message.header, self._only(index, message), 'measured_markers')
-        if new is None:
-            return
         if self._frame is not None and abs(new[0] - self._frame[0]) > FRAME_S:
             self._take(*self._frame)
             self._frame = None
@@ -372,18 +378,10 @@ class MarkerInput:
         points[index] = messages.xyz(message.pose.position)
         return points
 
-    def _give(self, header: Header, points: Floats, what: str) -> None:
-        if (frame := self._in_base(header, points, what)) is not None:
-            self._take(*frame)
-
-    def _in_base(self, header: Header, points: Floats, what: str) -> tuple[float, Floats] | None:
-        """Return time [s] and positions (J, 3) [m] in the base frame; None: they are refused."""
-        try:
-            now = messages.check_age(self._node, header, what)
-            rotation, translation = self._fixed or self._frames.of(header, what)
-        except Refusal as refusal:
-            self.problem = str(refusal)
-            return None
+    def _in_base(self, header: Header, points: Floats, what: str) -> tuple[float, Floats]:
+        """Return time [s] and positions (J, 3) [m] in the base frame."""
+        now = messages.check_age(self._node, header, what)
+        rotation, translation = self._fixed or self._frames.of(header, what)
         self.problem = ''
         points = np.where(is_missing(points)[:, None], np.nan, points)
         return messages.seconds(header.stamp) or now, points @ rotation.T + translation
