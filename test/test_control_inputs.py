@@ -28,11 +28,6 @@ def test_a_stamp_of_zero_means_now():
     inputs.check_stamp(100.1, 100.0, 0.5, 'target_pose')
 
 
-def test_a_wrong_frame_names_both():
-    with pytest.raises(Refusal, match="frame 'map', expected 'arm_base' or 'arm_tip'"):
-        inputs.check_frame('map', ['arm_base', 'arm_tip'], 'delta_twist')
-
-
 @pytest.mark.parametrize('bad', [math.nan, math.inf, -math.inf])
 def test_numbers_that_are_not_finite_are_refused(bad):
     with pytest.raises(Refusal, match='expected finite numbers'):

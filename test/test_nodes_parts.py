@@ -107,6 +107,8 @@ def test_without_tf_only_the_base_frame_will_do():
     assert shift.tolist() == [0.0, 0.0, 0.0]
     with pytest.raises(Refusal, match="frame 'map', expected 'arm_base'"):
         frames().of(header('map'), 'target_pose')
+    with pytest.raises(Refusal, match="frame 'map', expected 'arm_base' or 'arm_tip'"):
+        frames().of(header('map'), 'delta_twist', 'arm_tip')
 
 
 def test_with_tf_another_frame_is_brought_into_the_base_frame():

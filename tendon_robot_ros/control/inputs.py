@@ -190,16 +190,6 @@ def check_stamp(stamp: float, now: float, tolerance: float, what: str) -> None:
         )
 
 
-def check_frame(frame: str, known: Sequence[str], what: str) -> None:
-    """Refuse a frame other than the known ones."""
-    if frame not in known:
-        raise Refusal(
-            'frame',
-            f'{what}: frame {cut(frame)!r}, expected {" or ".join(map(repr, known))}'
-            ' (no transform between the two is known)',
-        )
-
-
 def finite(values: Sequence[float], what: str) -> Floats:
     """Return the values as an array; refuse nan and inf."""
     array = np.array(values, dtype=float)

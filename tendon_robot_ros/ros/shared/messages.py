@@ -28,7 +28,7 @@ from ...common.arrays import Floats
 from ...common.colours import BAD, PREDICTED, rgb
 from ...common.errors import TendonRobotError
 from ...common.rotations import from_quaternion, quaternions
-from ...control.inputs import Refusal, by_name, check_frame, check_stamp, cut
+from ...control.inputs import Refusal, by_name, check_stamp, cut
 from .timing import ANSWER_TIMEOUT_S
 
 
@@ -243,8 +243,9 @@ class Frames:
                 newest = self._buffer.lookup_transform(self.base, frame, of_then)
             transform = newest.transform
         except Exception:  # no buffer, or whatever tf2 raises: no transform
-            check_frame(frame, [self.base, *others], what)
-            raise Refusal('frame', f'{what}: frame {cut(frame)!r} is not usable') from None
+            known = ' or '.join(map(repr, [self.base, *others]))
+            expected = f'expected {known} (no transform between the two is known)'
+            raise Refusal('frame', f'{what}: frame {cut(frame)!r}, {expected}') from None
         age, tolerance = (stamp or now) - at, self._node.parameters['stamp_tolerance']
         if at > 0.0 and age > tolerance:
             raise Refusal(
