@@ -45,9 +45,8 @@ class Watching:
         settings = parameters.fill(WatchSettings, reference_postures=postures)
         self.watch = ArmWatch(monitor.model, monitor.markers, settings)
         self._drift = parameters['reference_postures'] > 0.0
-        rate = parameters['force_rate']
-        self._period = 1.0 / rate if rate > 0.0 else np.inf
-        self._due = 0.0 if rate > 0.0 else np.inf  # [s]
+        # [s] when the next contact is estimated
+        self._due = 0.0 if parameters['force_rate'] > 0.0 else np.inf
         self.contact: Contact | None = None
         self._reaction = ''  # to the present contact
         self._exceeded = False  # by the last estimate: a single one may be wrong
@@ -122,20 +121,19 @@ class Watching:
         state = states.at(states.newest)
         if state is not None and self._is_due():
             tensions, pulls = np.split(state, 2)
-            self._publish(tensions, None, pulls)
+            if np.isfinite(tensions).all():
+                self._publish(tensions, None, pulls)
 
     def _is_due(self) -> bool:
         now = time.monotonic()
         if now < self._due:
             return False
-        self._due = now + self._period
+        self._due = now + 1.0 / self._parameters['force_rate']
         return True
 
     def _publish(
         self, tensions: Floats, positions: Floats | None, pulls: Floats | None, frames: int = 1
     ) -> None:
-        if not np.isfinite(tensions).all():
-            return
         watch, find = self.watch, self.watch.observer.update
         self.contact = contact = (
             None if watch.learning else find(tensions, positions, pulls, frames)
