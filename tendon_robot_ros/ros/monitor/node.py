@@ -64,12 +64,9 @@ class MonitorNode(ParameterNode):
         self._in_use = self._loading = self._base = self._problem = self._unusable = ''
         self._last_error = self._frame_at = float('nan')
         self._remote = RemoteParameter(self, self.parameters['controller'], 'model')
-        topics = 'monitor/error', 'monitor/rolling_error', 'monitor/marker_errors'
-        texts = 'monitor/progress', 'monitor/verdict'
-        self._publish = {
-            name: self.create_publisher(*interface.topic(name)).publish
-            for name in (*topics, 'monitor/measured', 'monitor/predicted', *texts)
-        }
+        errors = 'monitor/error', 'monitor/rolling_error', 'monitor/marker_errors'
+        others = 'monitor/measured', 'monitor/predicted', 'monitor/progress', 'monitor/verdict'
+        self._publish = interface.publishing(self, *errors, *others)
         self.watching: Watching | None = None
         interface.subscribe(self, 'tendon_states', self._states)
         services: dict[str, Callable[[], str]] = {

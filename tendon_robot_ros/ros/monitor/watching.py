@@ -54,11 +54,9 @@ class Watching:
         self._frames = FrameMean(
             parameters['tracker_noise'], INPUT_TOLERANCE * high, parameters['force_time']
         )
-        topics = 'monitor/tip_force', 'monitor/tip_force_covariance', 'monitor/contact'
-        self._send = {
-            name: node.create_publisher(*interface.topic(name)).publish
-            for name in (*topics, 'monitor/markers', 'monitor/drift', 'stop')
-        }
+        forces = 'monitor/tip_force', 'monitor/tip_force_covariance', 'monitor/contact'
+        others = 'monitor/markers', 'monitor/drift', 'stop'
+        self._send = interface.publishing(node, *forces, *others)
         held = interface.topic('controller/tendon_trajectory', parameters['controller'])
         self._send['hold'] = node.create_publisher(*held).publish
         self._published = ''

@@ -151,13 +151,14 @@ class Inbox[M]:
 
 def _read[M](data: bytes, kind: type[M], what: str) -> M | Refusal:
     """Return the message in bytes, or why they are none."""
-    expected = f'at most {MESSAGE_BYTES_MAX:,} bytes, got {len(data):,}'
-    if len(data) <= MESSAGE_BYTES_MAX:
+    name, size = kind.__name__, len(data)
+    problem = f'{what}: expected at most {MESSAGE_BYTES_MAX:,} bytes, got {size:,}'
+    if size <= MESSAGE_BYTES_MAX:
         try:
             return deserialize_message(data, kind)
         except _rclpy.RMWError:
-            expected = f'a message {kind.__name__}, got {len(data):,} bytes that are none'
-    return Refusal('length', f'{what}: expected {expected}')
+            problem = f'{what}: expected a message {name}, got {size:,} bytes that are none'
+    return Refusal('length', problem)
 
 
 Answer = Callable[[bool, str], None]

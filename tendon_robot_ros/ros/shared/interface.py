@@ -81,6 +81,11 @@ def topic(name: str, at: str = '~') -> tuple[Any, str, QoSProfile]:
     )
 
 
+def publishing(node: Node, *names: str) -> dict[str, Callable[[Any], None]]:
+    """Create publishers of topics; return the functions that publish, by the topics' names."""
+    return {name: node.create_publisher(*topic(name)).publish for name in names}
+
+
 def subscribe(
     node: Node,
     name: str,

@@ -244,8 +244,11 @@ class Frames:
             transform = newest.transform
         except Exception:  # no buffer, or whatever tf2 raises: no transform
             known = ' or '.join(map(repr, [self.base, *others]))
-            expected = f'expected {known} (no transform between the two is known)'
-            raise Refusal('frame', f'{what}: frame {cut(frame)!r}, {expected}') from None
+            raise Refusal(
+                'frame',
+                f'{what}: frame {cut(frame)!r}, expected {known} '
+                '(no transform between the two is known)',
+            ) from None
         age, tolerance = (stamp or now) - at, self._node.parameters['stamp_tolerance']
         if at > 0.0 and age > tolerance:
             raise Refusal(
