@@ -141,9 +141,8 @@ class ControllerNode(StoppableNode):
             kind, topic, _ = interface.topic(name)
             take = partial(self._take, 'target', action)
             if name == 'controller/delta_twist':  # only the newest counts
-                self._targets.append(
-                    passing_subscription(self, kind, topic, take, interface.LISTEN)
-                )
+                heard = passing_subscription(self, kind, topic, take, interface.LISTEN)
+                self._targets.append(heard)
             else:
                 self._targets += subscribe_any_qos(self, kind, topic, take)
 

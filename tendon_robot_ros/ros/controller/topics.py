@@ -27,6 +27,7 @@ from ...model.model import Model
 from ...model.shape import Shape
 from ...robot.estimates import natural_sizes
 from ..shared import interface, messages
+from ..shared.inbox import Answer
 from ..shared.parameters import ParameterNode, base_frame
 from ..shared.timing import SILENCE_S, VALUES_PERIOD_S
 
@@ -167,10 +168,6 @@ class Prediction:
             self._node.destroy_publisher(publisher)
 
 
-Resumed = Callable[[bool, str], None]
-STATUS, RESUME = '/status', '/resume'
-
-
 class DriverLink:
     """
     Receives the status of the driver; requests that it follows again after a release.
@@ -194,11 +191,12 @@ class DriverLink:
         self.last = '', '', 0, ''
         self._own, self._callback = own, callback
         self._request: messages.Request | None = None
-        self._answers: list[Resumed] = []
+        self._answers: list[Answer] = []
         if topic:
             node.create_subscription(DiagnosticStatus, topic, self.receive, interface.LATCHED)
-        if topic.endswith(STATUS):
-            self._request = messages.Request(node, Trigger, topic.removesuffix(STATUS) + RESUME)
+        if topic.endswith('/status'):
+            service = topic.removesuffix('/status') + '/resume'
+            self._request = messages.Request(node, Trigger, service)
 
     @property
     def another(self) -> str:
@@ -211,7 +209,7 @@ class DriverLink:
         request = self._request
         return request is not None and not request.waiting and request.age > VALUES_PERIOD_S
 
-    def resume(self, answer: Resumed) -> bool:
+    def resume(self, answer: Answer) -> bool:
         """Request that the driver follows commands again; return False without a service."""
         if self._request is None or not self._request.ready:
             return False

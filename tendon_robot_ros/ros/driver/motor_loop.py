@@ -180,10 +180,8 @@ class MotorLoop:
         if decision.state not in (OFF, LIMP) and not restored:
             self._write(decision)
         self._last = self.driver.read()
-        supervisor = self.supervisor
-        self._report(
-            Cycle(self._last, decision, judged.faults, supervisor.held, supervisor.releases)
-        )
+        held, releases = self.supervisor.held, self.supervisor.releases
+        self._report(Cycle(self._last, decision, judged.faults, held, releases))
         while not self._calls.empty():  # last: a command that came before a reset moves nothing
             self._calls.get()()
 

@@ -88,9 +88,8 @@ class DriverNode(StoppableNode):
         if hasattr(driver, 'cancelled'):  # its search for the slack of wires may take long
             driver.cancelled = self._cancelled
         driver.open()
-        self.loop = MotorLoop(
-            driver, supervisor, 1.0 / self.parameters['rate'], self._report, self._receive
-        )
+        period = 1.0 / self.parameters['rate']
+        self.loop = MotorLoop(driver, supervisor, period, self._report, self._receive)
         if isinstance(driver, MockDriver):
             self._tracker = MockTracker(self, driver, tracker)
         self.loop.start()

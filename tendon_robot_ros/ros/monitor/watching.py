@@ -50,10 +50,8 @@ class Watching:
         self.contact: Contact | None = None
         self._reaction = ''  # to the present contact
         self._exceeded = False  # by the last estimate: a single one may be wrong
-        high = monitor.model.robot.tension_limits[1]
-        self._frames = FrameMean(
-            parameters['tracker_noise'], INPUT_TOLERANCE * high, parameters['force_time']
-        )
+        noise, high = parameters['tracker_noise'], monitor.model.robot.tension_limits[1]
+        self._frames = FrameMean(noise, INPUT_TOLERANCE * high, parameters['force_time'])
         forces = 'monitor/tip_force', 'monitor/tip_force_covariance', 'monitor/contact'
         others = 'monitor/markers', 'monitor/drift', 'stop'
         self._send = interface.publishing(node, *forces, *others)

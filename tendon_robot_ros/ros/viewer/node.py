@@ -64,9 +64,8 @@ class ViewerNode(ParameterNode):
         self._status = Status(self, 'page')
         self._frames: deque[float] = deque(maxlen=100)  # [s] when the arm was drawn
         self._listen(names)
-        self._targets = self.create_publisher(
-            *interface.topic('controller/target_point', names['controller'])
-        )
+        target = interface.topic('controller/target_point', names['controller'])
+        self._targets = self.create_publisher(*target)
         self._tour = self.create_publisher(*interface.topic('tour'))
         self._triggers = {
             name: [Request(self, Trigger, f'{names[owner]}/{name}') for owner in owners]
