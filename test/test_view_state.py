@@ -175,10 +175,12 @@ def test_a_tube_keeps_its_radius_around_a_bent_arm_and_does_not_turn():
 def test_peaks_of_the_curve_are_cut_and_that_is_said():
     times = np.linspace(0.0, 100.0, 500).tolist()
     errors = [(t, 0.004 + (0.04 if i % 50 < 5 else 0.0)) for i, t in enumerate(times)]
-    drawn = page_parts.curve(errors, 100.0, [], 6e-4)  # moves: a tenth
+    state = ViewState(curve=errors, verdict={'noise_floor': 6e-4})  # moves: a tenth
+    drawn = page_parts.curve(state, 100.0)
     assert 'peaks up to 44 are cut off' in drawn and '>10</text>' not in drawn
     assert 'now 4 mm' in drawn
-    assert 'cut off' not in page_parts.curve([(t, 0.004) for t in times], 100.0, [], None)
+    state = ViewState(curve=[(t, 0.004) for t in times])
+    assert 'cut off' not in page_parts.curve(state, 100.0)
 
 
 def test_the_progress_of_a_diagnosis_is_a_bar_until_it_is_done():

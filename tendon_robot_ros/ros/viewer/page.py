@@ -158,9 +158,7 @@ class LivePage:
             'scene': page_parts.scene(state.measured, state.predicted),
             'statuses': page_parts.statuses(state.statuses(now)),
             'error': page_parts.big_error(state.rolling(now), state.per_marker()),
-            'curve': page_parts.curve(
-                state.curve, now, state.marks, state.verdict.get('noise_floor')
-            ),
+            'curve': page_parts.curve(state, now),
             'bars': page_parts.bars(state.inputs, state.tensions, *state.limits),
             'verdict': page_parts.verdict(state.verdict),
             'investigation': page_parts.investigation(state.investigation),

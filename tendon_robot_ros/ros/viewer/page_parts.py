@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -16,7 +16,7 @@ from ...common.arrays import Floats
 from ...common.colours import BAD, ERROR, GOOD, INK, KINDS, MEASURED, PREDICTED, WARN, rgb
 from ...common.words import digits, mm
 from ...report.page import marked
-from .state import CURVE_SPAN_S
+from .state import CURVE_SPAN_S, ViewState
 
 Floats32 = NDArray[np.float32]
 # [1] so that the predicted arm, which is thinner, is visible inside the measured one
@@ -98,28 +98,10 @@ def big_error(rolling: float, tip: str) -> str:
     )
 
 
-def curve(
-    errors: Iterable[tuple[float, float]],
-    now: float,
-    marks: Sequence[tuple[float, str]],
-    floor: float | None,
-) -> str:
-    """
-    Return a plot of the rolling error over the last two minutes.
-
-    Parameters
-    ----------
-    errors : iterable of (time, error)
-        [s] and [m].
-    now : float
-        Right edge [s].
-    marks : sequence of (time, text)
-        When an effect was added.
-    floor : float, optional
-        Noise floor of the last diagnosis [m].
-
-    """
-    shown = [(now - t, 1e3 * e) for t, e in errors if now - t <= CURVE_SPAN_S and np.isfinite(e)]
+def curve(state: ViewState, now: float) -> str:
+    """Return a plot of the rolling error over the last two minutes, up to now [s]."""
+    recent = [(now - at, 1e3 * error) for at, error in state.curve if np.isfinite(error)]
+    shown = [(age, error) for age, error in recent if age <= CURVE_SPAN_S]
     sizes = [e for _, e in shown] or [0.0]
     # twice the upper quartile: larger peaks come from moves, and the error at rest would else be a
     # flat line
@@ -127,9 +109,9 @@ def curve(
     axes = _Axes(max(1.15 * min(max(sizes), usual), 0.6))
     points = ' '.join(f'{axes.x(age):.1f},{axes.y(min(e, axes.top)):.1f}' for age, e in shown)
     cut = f', peaks up to {digits(max(sizes), 2)} are cut off' if max(sizes) > axes.top else ''
-    parts = [*axes.grid(floor)]
+    parts = [*axes.grid(state.verdict.get('noise_floor'))]
     parts.append(f'<polyline points="{points}" fill="none" stroke="{MEASURED}" stroke-width="2"/>')
-    for at, text in marks:  # when an effect was added
+    for at, text in state.marks:  # when an effect was added
         if (age := now - at) <= CURVE_SPAN_S:
             parts.append(
                 f'<path d="M{axes.x(age):.1f} 4V{axes.base + 4}" stroke="{PREDICTED}" '
