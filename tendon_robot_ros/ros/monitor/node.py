@@ -61,7 +61,7 @@ class MonitorNode(ParameterNode):
         self.monitor: Monitor | None = None
         self.work = Work()
         self._loader: Loader | None = None
-        self._in_use = self._loading = self._base = self._problem = self._unusable = ''
+        self._in_use = self._loading = self._problem = self._unusable = ''
         self._last_error = self._frame_at = float('nan')
         self._remote = RemoteParameter(self, self.parameters['controller'], 'model')
         errors = 'monitor/error', 'monitor/rolling_error', 'monitor/marker_errors'
@@ -113,12 +113,10 @@ class MonitorNode(ParameterNode):
         try:
             model = loader.result()
             if self.monitor is None:
-                robot = model.robot
                 markers = parsed(self.parameters['markers'], 'markers', list)
                 settings = self.parameters.fill(MonitorSettings)
-                monitor = Monitor(model, read_markers(markers, robot), settings)
-                self._base = base_frame(self.parameters, robot.name)
-                self._measured = MarkerInput(self, self._base, monitor, self._frame)
+                monitor = Monitor(model, read_markers(markers, model.robot), settings)
+                self._measured = MarkerInput(self, monitor, self._frame)
                 if self.parameters['force_rate'] or self.parameters['reference_postures']:
                     self.watching = Watching(self, monitor)
                 self.adapting = Adapting(self, monitor, self._loading, self._remote.put)
@@ -159,7 +157,7 @@ class MonitorNode(ParameterNode):
             self._frame_at = time.monotonic()
             if np.isfinite(compared.rolling):
                 self._last_error = compared.rolling
-            header, errors = messages.header_now(self, self._base), compared.errors
+            header, errors = messages.header_now(self, self._measured.base), compared.errors
             sizes = np.linalg.norm(errors, axis=1).tolist()  # nan where a marker is not seen
             content = {
                 'monitor/error': Vector3Stamped(header=header, vector=messages.vector(errors[-1])),
@@ -285,8 +283,6 @@ class MarkerInput:
     ----------
     node : ParameterNode
         The monitor.
-    base : str
-        The base frame.
     monitor : Monitor
         poses[i] is its markers[i]; a frame waits for states that are as new as itself.
     take : callable
@@ -295,17 +291,14 @@ class MarkerInput:
     """
 
     def __init__(
-        self,
-        node: ParameterNode,
-        base: str,
-        monitor: Monitor,
-        take: Callable[[float, Floats], None],
+        self, node: ParameterNode, monitor: Monitor, take: Callable[[float, Floats], None]
     ) -> None:
         """Create the subscriptions; InputError: a parameter is invalid."""
         self._node, self._taker = node, take
         self._monitor, self.markers, self.problem = monitor, monitor.markers, ''
         self._waiting: tuple[float, Floats] | None = None
-        self._frames = messages.Frames(node, base)
+        self.base = base_frame(node.parameters, monitor.model.robot.name)
+        self._frames = messages.Frames(node, self.base)
         self._fixed = _transform(node.parameters['tracker_transform'])
         topics = parsed(node.parameters['measured_markers'], 'measured_markers', dict)
         self._frame: tuple[float, Floats] | None = None

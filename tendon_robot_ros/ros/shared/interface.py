@@ -18,6 +18,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from ...common.yaml_reading import parse_yaml
 
 TABLE = Path(__file__).parent.parent / 'interface.yaml'
+Callback = Callable[[Any], None]  # is called with a message
 # [1] queued messages of a topic, so that a subscriber that is late by two cycles of the fastest
 # node, or receives joints in a message each, loses none
 DEPTH = 10
@@ -81,17 +82,13 @@ def topic(name: str, at: str = '~') -> tuple[Any, str, QoSProfile]:
     )
 
 
-def publishing(node: Node, *names: str) -> dict[str, Callable[[Any], None]]:
+def publishing(node: Node, *names: str) -> dict[str, Callback]:
     """Create publishers of topics; return the functions that publish, by the topics' names."""
     return {name: node.create_publisher(*topic(name)).publish for name in names}
 
 
 def subscribe(
-    node: Node,
-    name: str,
-    callback: Callable[[Any], None],
-    at: str = '~',
-    heard: QoSProfile | None = None,
+    node: Node, name: str, callback: Callback, at: str = '~', heard: QoSProfile | None = None
 ) -> None:
     """Subscribe to a topic; publishers of any reliability are heard unless `heard` says how."""
     kind, full_name, published = topic(name, at)

@@ -29,6 +29,7 @@ from ...common.colours import BAD, PREDICTED, rgb
 from ...common.errors import TendonRobotError
 from ...common.rotations import from_quaternion, quaternions
 from ...control.inputs import Refusal, by_name, check_stamp, cut
+from .interface import Callback
 from .timing import ANSWER_TIMEOUT_S
 
 
@@ -271,12 +272,7 @@ def passing_publisher(node: Node, kind: Any, topic: str, qos: QoSProfile) -> Pub
 
 
 def passing_subscription(
-    node: Node,
-    kind: Any,
-    topic: str,
-    callback: Callable[[Any], None],
-    qos: QoSProfile,
-    raw: bool = False,
+    node: Node, kind: Any, topic: str, callback: Callback, qos: QoSProfile, raw: bool = False
 ) -> Subscription:
     """Create a subscription that may be destroyed while its node runs, as a publisher."""
     quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
