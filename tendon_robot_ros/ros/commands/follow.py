@@ -275,11 +275,14 @@ def _pace(options: argparse.Namespace) -> Pace:
     return Pace(**limits)
 
 
+Sent = list[tuple[float, Floats, Floats]]  # [s], position (3,) [m] and direction of targets
+
+
 def run_tips(pilot: Pilot, plan: Plan) -> PathRun:
     """Go to the first row of a plan, send targets by its times, wait until the arm is at rest."""
     pilot.stand_at(*plan.at(0.0), 'the arm at the first row')
     began = due = time.monotonic()
-    sent: list[tuple[float, Floats, Floats]] = []
+    sent: Sent = []
     passed = 0.0
     while passed < plan.duration or not sent:
         passed = min(time.monotonic() - began, plan.duration)
@@ -316,9 +319,7 @@ def run_back(pilot: Pilot, pace: Pace) -> None:
     pilot.play_to_the_end(back, 'the arm back where it came from')
 
 
-def _path_run(
-    pilot: Pilot, began: float, sent: list[tuple[float, Floats, Floats]], rows: Floats
-) -> PathRun:
+def _path_run(pilot: Pilot, began: float, sent: Sent, rows: Floats) -> PathRun:
     measured, tip_times, tips, views = pilot.tips()
     command_times, commands = pilot.commands()
     during, commanded = tip_times >= began, command_times >= began

@@ -239,7 +239,6 @@ FORWARDED_MESSAGE = re.compile(
     r'(?P<publisher>([0-9a-f]{2}){0,32}) (?P<number>\d{1,20}) (?P<sent>-?\d{1,20}) '
     r'(?P<value>true|false)'
 )
-STOP_REASON = 'topic stop says true (publish false on it to end that)'
 
 
 def _parse_forwarded(message: String) -> Received[Bool] | None:
@@ -272,20 +271,16 @@ class StopTopic:
     ----------
     node : Node
     stop : callable
-        Called with the reason at every true.
+        Called at every true.
     cleared : callable
         Called when the cause is cleared.
-    services : sequence of Service
+    *services : Service
         Answered in the thread that receives the topic.
 
     """
 
     def __init__(
-        self,
-        node: Node,
-        stop: Callable[[str], None],
-        cleared: Callable[[], None],
-        services: Sequence[Service] = (),
+        self, node: Node, stop: Callable[[], None], cleared: Callable[[], None], *services: Service
     ) -> None:
         """Subscribe, and receive messages in a thread of its own."""
         self._node, self._stop, self._cleared, self._services = node, stop, cleared, services
@@ -310,7 +305,7 @@ class StopTopic:
             self._last[received.publisher] = received
             if received.message.data:
                 self.active, self._denied = True, False
-                self._stop(STOP_REASON)
+                self._stop()
             elif self.active:
                 self._denied = True
                 self._check_publishers()

@@ -29,6 +29,7 @@ from .timing import NEWS_PERIOD_S, RETRY_PERIOD_S, STATUS_PERIOD_S, VALUES_PERIO
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 LEVELS = {'ok': OK, 'warn': WARN, 'error': ERROR}
 STOP, STOP_TOPIC = 'stop', 'stop topic'  # keys of the stops that somebody requested
+STOP_REASON = 'topic stop says true (publish false on it to end that)'
 
 
 class StoppableNode(ParameterNode, LifecycleNode):
@@ -173,9 +174,9 @@ class StoppableNode(ParameterNode, LifecycleNode):
     def listen(self, *services: Service) -> None:
         """Receive stops and answer services in a thread of their own."""
         stop = Service(self, '~/stop', lambda send: send(True, self.stop_called()))
-        by_topic = partial(self.stop_now, STOP_TOPIC, lasting=True)
+        by_topic = partial(self.stop_now, STOP_TOPIC, STOP_REASON, lasting=True)
         cleared = partial(self.latch.cause_removed, STOP_TOPIC)
-        self.stop_topic = StopTopic(self, by_topic, cleared, [stop, *services])
+        self.stop_topic = StopTopic(self, by_topic, cleared, stop, *services)
         who = Stoppable(self.get_fully_qualified_name(), self._drives)
         local_stop = StopListener(self.context.get_domain_id(), who, self.stop_now)
         self.closing += self.stop_topic, local_stop

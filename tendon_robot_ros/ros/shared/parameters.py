@@ -105,6 +105,9 @@ def declared() -> dict[str, dict[str, Spec]]:
     }
 
 
+Hook = Callable[[Any], object]  # is called with a new value, and may refuse it
+
+
 class Parameters:
     """The parameters of a node, by name; always valid."""
 
@@ -112,7 +115,7 @@ class Parameters:
         """Declare those of a node in the table; InputError: it was started with an invalid one."""
         self._node, self._specs = node, declared()[table]
         self._values: dict[str, Any] = {}
-        self._hooks: dict[str, Callable[[Any], object]] = {}
+        self._hooks: dict[str, Hook] = {}
         self._changed: Callable[[Collection[str]], None] | None = None
         for spec in self._specs.values():
             try:
@@ -134,11 +137,7 @@ class Parameters:
         names = [f.name for f in fields(cast(Any, kind)) if prefix + f.name in self._specs]
         return kind(**{name: self[prefix + name] for name in names} | others)
 
-    def watch(
-        self,
-        hooks: Mapping[str, Callable[[Any], object]],
-        changed: Callable[[Collection[str]], None],
-    ) -> None:
+    def watch(self, hooks: Mapping[str, Hook], changed: Callable[[Collection[str]], None]) -> None:
         """
         Set callbacks for changes at run time.
 
