@@ -147,11 +147,8 @@ class RunningArm(Pilot):
         rows = parsed(self.parameter('markers', self._monitor), 'markers', list)
         self.markers = read_markers(rows, self.robot) or default_markers(self.robot)
         self._frames.clear()
-        self.wait(
-            lambda: self._frames and self._kinds,
-            REACTION_TIMEOUT_S,
-            f'{self._monitor}/measured and tendon_states: does the tracker see the arm?',
-        )
+        what = f'{self._monitor}/measured and tendon_states: does the tracker see the arm?'
+        self.wait(lambda: self._frames and self._kinds, REACTION_TIMEOUT_S, what)
         self.spin(SILENCE_S)  # single readings of a load cell may be missing
         measured = 'tension' in self._kinds and not (self.pull and self._by_gears)
         self.input = 'tension' if measured else 'displacement'

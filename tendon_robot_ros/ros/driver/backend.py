@@ -75,11 +75,8 @@ class MockTracker:
         arm: Any = self._driver.truth
         tip_subscribed = self._tip.get_subscription_count() > 0
         shape_subscribed = self._shape.get_subscription_count() > 0
-        if (
-            arm is None
-            or not (tip_subscribed or shape_subscribed)
-            or self._random.random() < self._config['lost']
-        ):
+        subscribed = tip_subscribed or shape_subscribed
+        if arm is None or not subscribed or self._random.random() < self._config['lost']:
             return
         header = messages.header_now(self._node, self._frame)
         n = len(self._arc_lengths)

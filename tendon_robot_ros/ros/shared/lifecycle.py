@@ -283,13 +283,9 @@ class Status:
             else:
                 logger.error(text)
         self._key, self._sent, self._sent_at = key, content, now
-        status = DiagnosticStatus(
-            level=level,
-            name=self._name,
-            message=message,
-            hardware_id=self.arm,
-            values=[KeyValue(key=name, value=value) for name, value in content[2].items()],
-        )
+        pairs = [KeyValue(key=name, value=value) for name, value in content[2].items()]
+        status = DiagnosticStatus(level=level, name=self._name, message=message, values=pairs)
+        status.hardware_id = self.arm
         self._latched.publish(status)
         array = DiagnosticArray(status=[status])
         array.header.stamp = stamp_now(self._node)

@@ -144,12 +144,10 @@ def tensions_and_pulls(message: JointState, inputs: Sequence[str]) -> tuple[Floa
 
     Missing values are nan. Refusal: other names, or another number of values.
     """
-    names, blank = message.name, [math.nan] * len(message.name)
-    what = 'tendon_states'
-    return (
-        by_name(names, message.effort or blank, inputs, what, 'effort'),
-        by_name(names, message.position or blank, inputs, what, 'position'),
-    )
+    names, blank, what = message.name, [math.nan] * len(message.name), 'tendon_states'
+    tensions = by_name(names, message.effort or blank, inputs, what, 'effort')
+    pulls = by_name(names, message.position or blank, inputs, what, 'position')
+    return tensions, pulls
 
 
 def status_values(message: DiagnosticStatus) -> dict[str, str]:

@@ -160,12 +160,9 @@ class Parameters:
         self._hooks, self._changed = hooks, changed
 
     def _set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        known = [one for one in parameters if one.name in self._specs]
         try:
-            accepted = {
-                parameter.name: self._specs[parameter.name].checked(parameter.value)
-                for parameter in parameters
-                if parameter.name in self._specs
-            }
+            accepted = {one.name: self._specs[one.name].checked(one.value) for one in known}
             for name, value in accepted.items():
                 if name in self._hooks:
                     self._hooks[name](value)
