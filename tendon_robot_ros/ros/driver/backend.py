@@ -139,9 +139,9 @@ def _plant(robot: Robot, mode: str, config: dict[str, Any], source: str) -> Any:
         raise InputError(f'{source}: {error}') from None
 
 
-def rules(robot: Robot, driver: Driver, parameters: Parameters) -> SafetyRules:
+def rules(driver: Driver, parameters: Parameters) -> SafetyRules:
     """Return the safety rules: the narrowest limits of robot, driver and parameters."""
-    limits = np.array(driver.limits, dtype=float)
+    robot, limits = driver.robot, np.array(driver.limits, dtype=float)
     if driver.mode == 'tension':
         low, high = robot.tension_limits
         rate, release = parameters['rate_limit'], parameters['release_rate']

@@ -83,7 +83,7 @@ class DriverNode(StoppableNode):
             text = f'makes the mock arm; {COMPILING}, if not done'
             self.status.publish(WARN, 'starting', text)
         driver, tracker = backend.make(robot, self.parameters, self)
-        supervisor = Supervisor(backend.rules(robot, driver, self.parameters))
+        supervisor = Supervisor(backend.rules(driver, self.parameters))
         supervisor.latch = self.latch
         if hasattr(driver, 'cancelled'):  # its search for the slack of wires may take long
             driver.cancelled = self._cancelled
@@ -267,8 +267,7 @@ class DriverNode(StoppableNode):
     def _retune(self, names: Collection[str]) -> None:
         """Apply changed rates and times."""
         if (loop := self.loop) is not None:
-            driver = loop.driver
-            loop.supervisor.rules = backend.rules(driver.robot, driver, self.parameters)
+            loop.supervisor.rules = backend.rules(loop.driver, self.parameters)
 
 
 main = partial(run, DriverNode, first=True)  # until a signal comes
