@@ -131,8 +131,9 @@ class Pilot(ClientNode):
 
     @property
     def has_listener(self) -> bool:
-        """Whether targets have a subscriber."""
-        return bool(self._poses.get_subscription_count() and self._points.get_subscription_count())
+        """Whether targets and trajectories have a subscriber."""
+        sent = self._poses, self._points, self._trajectories
+        return all(one.get_subscription_count() for one in sent)
 
     def send(self, position: Floats, direction: Floats | None) -> str:
         """Send a target, (3,) [m] and (3,) or None; return its stamp as the status reports it."""
@@ -231,20 +232,17 @@ class Pilot(ClientNode):
             The controller does not answer, or accepts no targets now.
 
         """
-        self.wait(
-            lambda: (
-                self._commands
-                and self._tips['predicted']
-                and self.status
-                and self.has_listener
-                and self._trajectories.get_subscription_count()
-                # else a tip that the driver publishes could be missed
-                and self.count_publishers('tendon_states')
-            ),
-            timeout,
+
+        def up() -> bool:
+            heard = self._commands and self._tips['predicted'] and self.status
+            # also of states: else a tip that the driver publishes could be missed
+            return bool(heard and self.has_listener and self.count_publishers('tendon_states'))
+
+        what = (
             f'{self.resolve_topic_name(self._controller)} to command; are driver and controller '
-            'running, in this namespace and ROS_DOMAIN_ID?',
+            'running, in this namespace and ROS_DOMAIN_ID?'
         )
+        self.wait(up, timeout, what)
         self.spin(TIP_AVERAGE_S)
         for topic in ('tendon_command', 'tendon_states'):
             if (count := self.count_publishers(topic)) > 1:
