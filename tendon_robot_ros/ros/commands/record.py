@@ -47,7 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         'output', nargs='?', default=named, metavar='DIR', help='new folder (default: by the time)'
     )
-    add('--duration', type=float, metavar='S', help='seconds (default: to Ctrl-C)')
+    what = 'seconds (default: to Ctrl-C)'
+    add('--duration', type=float, default=float('inf'), metavar='S', help=what)
     add('--topics', nargs='+', default=[], metavar='TOPIC', help='only these (default: all)')
     what = 'of the folder (default: mcap)'
     add('--storage', choices=bag_writer.STORAGES, default='mcap', help=what)
@@ -58,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     """Record until a signal comes or the duration is over."""
     bag_writer.need_rosbags()
-    if args.duration is not None and not args.duration > 0.0:
+    if not args.duration > 0.0:
         raise InputError(f'--duration: expected more than 0, got {args.duration:g}')
     with (
         ros(ros_arguments) as ending,
@@ -68,13 +69,9 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     ):
         narrate(args, f'recording to {args.output}; Ctrl-C ends')
         began = time.monotonic()
-        while not ending.signal:
+        while not ending.signal and time.monotonic() - began < args.duration:
             recorder.serve(NEWS_PERIOD_S)
             recorder.drain()
-            passed = time.monotonic() - began
-            if args.duration is not None and passed >= args.duration:
-                break
-        recorder.drain()
     seconds = time.monotonic() - began
     content = {'messages': recorder.counts, 'seconds': seconds, 'written': args.output}
     emit(args, content, recorder.summary(args.output, seconds))
