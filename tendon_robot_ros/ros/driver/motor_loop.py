@@ -176,16 +176,17 @@ class MotorLoop:
         assert self._last is not None
         judged = self._last
         decision = self.supervisor.step(began, command, judged)
-        restored = self._torque(decision)
-        if decision.state not in (OFF, LIMP) and not restored:
-            self._write(decision)
+        self._apply(decision)
         self._last = self.driver.read()
         held, releases = self.supervisor.held, self.supervisor.releases
         self._report(Cycle(self._last, decision, judged.faults, held, releases))
         while not self._calls.empty():  # last: a command that came before a reset moves nothing
             self._calls.get()()
 
-    def _write(self, decision: Decision) -> None:
+    def _apply(self, decision: Decision) -> None:
+        """Switch torque and write the command, which is void where torque is off or came back."""
+        if self._torque(decision) or decision.state in (OFF, LIMP):
+            return
         tension = self.supervisor.rules.stop_tension or 0.0
         self.driver.limit_current(decision.current_reduction, tension)
         self.driver.write(decision.command)
@@ -219,9 +220,7 @@ class MotorLoop:
             self.supervisor.latch.stop('crash', f'the driver process failed: {self.crashed}')
             while True:  # every step comes closer to rest, or is at rest
                 decision = self.supervisor.step(time.monotonic(), None, self.driver.read())
-                self._torque(decision)
-                if decision.state not in (OFF, LIMP):
-                    self._write(decision)
+                self._apply(decision)
                 if decision.state in (OFF, LIMP, RELEASED):
                     return
                 time.sleep(self._period)

@@ -264,9 +264,8 @@ class Status:
         now = time.monotonic()
         key = level, code, message if once else ', '.join(sorted(set(faults)))
         news = key != self._key
-        if not once and (
-            now - self._sent_at < NEWS_PERIOD_S if news else now - self._read_at < VALUES_PERIOD_S
-        ):
+        last, period = (self._sent_at, NEWS_PERIOD_S) if news else (self._read_at, VALUES_PERIOD_S)
+        if not once and now - last < period:
             return
         self._read_at = now
         content = message, self.arm, {'code': code, **values()}
