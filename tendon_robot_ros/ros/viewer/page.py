@@ -146,9 +146,7 @@ class LivePage:
             errors = state.errors()
             if errors is not None and len(errors):
                 self._line('error', errors)
-            force = state.force_line(time.monotonic())
-            if force is not None or 'force' in self._drawn:
-                self._line('force', np.zeros((1, 2, 3)) if force is None else force)
+            self._line('force', state.force_line(time.monotonic()))
 
     def update(self, state: ViewState, now: float) -> None:
         """Update the panel; only changes are sent."""

@@ -39,7 +39,7 @@ class ViewState:
     limits: tuple[float, float] = (0.0, 5.0)  # [N]
     measured: Floats | None = None  # (J, 3) [m]
     predicted: Floats | None = None
-    force: Floats | None = None  # (2, 3) [m] arrow of what pushes the arm
+    force: Floats = field(default_factory=lambda: np.zeros((2, 3)))  # [m] arrow of what pushes
     force_at: float = -np.inf
     marker_errors: deque[tuple[float, Floats]] = field(default_factory=deque)  # [s], (J,) [m]
     curve: deque[tuple[float, float]] = field(  # [s], rolling error [m]
@@ -148,9 +148,9 @@ class ViewState:
         unseen = ~np.isfinite(measured).all(axis=1)
         return np.stack([predicted, np.where(unseen[:, None], predicted, measured)], axis=1)
 
-    def force_line(self, now: float) -> Floats | None:
-        """Return an arrow of the force as segments (1, 2, 3) [m]; None without a fresh one."""
-        return None if self.force is None or now - self.force_at > SILENCE_S else self.force[None]
+    def force_line(self, now: float) -> Floats:
+        """Return an arrow of the force as segments (1, 2, 3) [m], of no length if it is old."""
+        return self.force[None] if now - self.force_at <= SILENCE_S else np.zeros((1, 2, 3))
 
     def per_marker(self) -> str:
         """Return the marker with the largest median error of the last `STEADY_S`, as text."""
