@@ -190,7 +190,7 @@ def test_the_camera_follows_the_length_of_the_arm(trusted, tmp_path):
     opened, browser = trusted
     page, long = opened.page, load_robot('spatial_6').length
     opened.shown.predicted = 3.0 * Model(load_robot('spatial_6')).shape([0.0] * 6).positions
-    opened.shown.measured = None
+    opened.shown.measured = np.zeros((0, 3))
     try:
         page.resize(3.0 * long)
         page.draw(opened.shown)

@@ -136,15 +136,14 @@ class LivePage:
     def draw(self, state: ViewState) -> None:
         """Update the arms in the scene."""
         with self._server.atomic():
-            if state.measured is not None and len(state.measured):
+            if len(state.measured):
                 self._tube(_nodes(state.measured))
                 if np.isfinite(tip := state.measured[-1]).all() and not state.held:
                     self._target.position = tuple(tip.tolist())
-            if state.predicted is not None and len(state.predicted):
+            if len(state.predicted):
                 nodes = _nodes(state.predicted)
                 self._line('predicted', np.stack([nodes[:-1], nodes[1:]], axis=1))
-            errors = state.errors()
-            if errors is not None and len(errors):
+            if len(errors := state.errors()):
                 self._line('error', errors)
             self._line('force', state.force_line(time.monotonic()))
 

@@ -57,11 +57,11 @@ def legend(square: float) -> str:
     )
 
 
-def scene(measured: Floats | None, predicted: Floats | None) -> str:
+def scene(measured: Floats, predicted: Floats) -> str:
     """Return a description of the arms (J, 3) [m] in the scene, for screen readers."""
     tips, text = [], 'Scene in space: the arm stands on a grid, its base at the origin, z up'
     for who, arm in (('measured', measured), ('predicted', predicted)):
-        visible = np.zeros((0, 3)) if arm is None else arm[np.isfinite(arm).all(axis=1)]
+        visible = arm[np.isfinite(arm).all(axis=1)]
         where = 'not there yet'
         for x, y, z in 1e3 * visible[-1:]:
             where = f'tip at x {x:.0f}, y {y:.0f}, z {z:.0f} mm'

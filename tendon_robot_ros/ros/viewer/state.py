@@ -37,8 +37,8 @@ class ViewState:
     inputs: tuple[str, ...] = ()
     tensions: tuple[float, ...] = ()
     limits: tuple[float, float] = (0.0, 5.0)  # [N]
-    measured: Floats | None = None  # (J, 3) [m]
-    predicted: Floats | None = None
+    measured: Floats = field(default_factory=lambda: np.zeros((0, 3)))  # (J, 3) [m]
+    predicted: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     force: Floats = field(default_factory=lambda: np.zeros((2, 3)))  # [m] arrow of what pushes
     force_at: float = -np.inf
     marker_errors: deque[tuple[float, Floats]] = field(default_factory=deque)  # [s], (J,) [m]
@@ -140,11 +140,11 @@ class ViewState:
         recent = [e for at, e in self.curve if now - at < STEADY_S and np.isfinite(e)]
         return float(np.median(recent)) if recent else float('nan')
 
-    def errors(self) -> Floats | None:
+    def errors(self) -> Floats:
         """Return error vectors as segments (J, 2, 3) [m] from predicted to measured."""
         measured, predicted = self.measured, self.predicted
-        if measured is None or predicted is None or len(measured) != len(predicted):
-            return None
+        if len(measured) != len(predicted):
+            return np.zeros((0, 2, 3))
         unseen = ~np.isfinite(measured).all(axis=1)
         return np.stack([predicted, np.where(unseen[:, None], predicted, measured)], axis=1)
 
