@@ -40,7 +40,6 @@ from ..shared.senders import gid_text
 from ..shared.timing import NEWS_PERIOD_S
 from . import parameters
 from .actions import Actions
-from .parameters import ModelLoading
 from .topics import DriverLink, Incoming, Prediction
 
 HELP = 'move the tip to targets: poses, points or twists in, tendon commands out'
@@ -66,7 +65,7 @@ class ControllerNode(StoppableNode):
         super().__init__('controller', drives=False, hears='tendon_states', says='tendon_command')
         self.status = Status(self, 'control')
         self.core: ControllerCore | None = None
-        self._loading = ModelLoading(self.parameters)
+        self._loading = parameters.ModelLoading(self.parameters)
         self._keep_out = KeepOut()
         checks: dict[str, Callable[[str], object]] = {
             'model': self._loading.check,

@@ -32,7 +32,6 @@ from ..shared.runtime import Ending, repeat, run
 from ..shared.senders import gid_text
 from ..shared.timing import VALUES_PERIOD_S
 from . import backend
-from .backend import MockTracker
 from .motor_loop import Cycle, MotorLoop
 
 HELP = 'drive motors, or a mock arm, from tendon commands'
@@ -58,7 +57,7 @@ class DriverNode(StoppableNode):
         self.parameters.watch({'mock_fault': self._inject}, self._retune)
         self.status = Status(self, 'motors')
         self.loop: MotorLoop | None = None
-        self._tracker: MockTracker | None = None
+        self._tracker: backend.MockTracker | None = None
         self._refusal: Refusal | None = None
         self._check_due = ''  # why the tendons need a check
         self._cycle: Cycle | None = None
@@ -91,7 +90,7 @@ class DriverNode(StoppableNode):
         period = 1.0 / self.parameters['rate']
         self.loop = MotorLoop(driver, supervisor, period, self._report, self._receive)
         if isinstance(driver, MockDriver):
-            self._tracker = MockTracker(self, driver, tracker)
+            self._tracker = backend.MockTracker(self, driver, tracker)
         self.loop.start()
         if Ending.current.first:  # a mock arm computes: motors of another robot have priority
             mock = isinstance(driver, MockDriver)

@@ -19,8 +19,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from ...common.arrays import Floats
 from ...common.errors import InputError, TendonRobotError
 from ...common.rotations import towards
-from ...control.inputs import Trajectory
-from ...control.inputs import direction as looks
+from ...control.inputs import Trajectory, direction
 from ...control.loading import load
 from ...data.tracker_faults import is_missing
 from ...effects import load_catalogue
@@ -107,7 +106,7 @@ class Pilot(ClientNode):
             elif message.header.frame_id != self.base:
                 return
             with suppress(InputError):  # an orientation that is none
-                view = looks(messages.xyzw(message.pose.orientation), which)
+                view = direction(messages.xyzw(message.pose.orientation), which)
                 place = np.array(messages.xyz(message.pose.position))
                 if not is_missing(place):  # as trackers say that they see none
                     self._tips[which].append((time.monotonic(), place, view))

@@ -15,7 +15,6 @@ from ...common.arrays import Floats
 from ...common.colours import BAD, ERROR, GOOD, INK, MEASURED, ORANGE, PREDICTED, rgb
 from ...common.errors import DriverError, MissingExtraError
 from . import page_parts
-from .page_parts import MEASURED_OPACITY, tube_faces, tube_vertices
 from .state import ViewState
 
 BUTTONS: tuple[tuple[str, str, str, str], ...] = (  # name, label, hint, colour
@@ -209,7 +208,7 @@ class LivePage:
         """Show the measured arm through nodes (n, 3) [m] as a wide, translucent tube."""
         if len(nodes) < 2:
             return
-        vertices = tube_vertices(nodes, 0.5 * MEASURED_WIDTH * self._size)
+        vertices = page_parts.tube_vertices(nodes, 0.5 * MEASURED_WIDTH * self._size)
         tube = self._drawn.get('measured')
         if tube is not None and tube.vertices.shape == vertices.shape:
             tube.vertices = vertices
@@ -217,9 +216,9 @@ class LivePage:
         self._drawn['measured'] = self._server.scene.add_mesh_simple(
             '/measured',
             vertices,
-            tube_faces(len(nodes)),
+            page_parts.tube_faces(len(nodes)),
             color=rgb(MEASURED),
-            opacity=MEASURED_OPACITY,
+            opacity=page_parts.MEASURED_OPACITY,
             cast_shadow=False,
             receive_shadow=False,
         )
