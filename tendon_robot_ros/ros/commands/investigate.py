@@ -41,9 +41,8 @@ from ...investigation.goal import add_goal, goal_of
 from ...investigation.loop import Investigation
 from ...investigation.measuring import BETTER, BrokenMeasurementError, PostureMeasured
 from ...model.model import Model
-from ...monitoring import History, MonitorSettings, StillMeasurement
 from ...monitoring.change import ChangeFinder
-from ...monitoring.monitor import still_window
+from ...monitoring.monitor import History, MonitorSettings, StillMeasurement, still_window
 from ...monitoring.watch import load_change
 from ...robot import Robot
 from ...robot.estimates import natural_sizes

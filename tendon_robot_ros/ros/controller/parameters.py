@@ -12,10 +12,9 @@ from ...control.loading import Loader
 from ...effects import load_catalogue
 from ...model.model import Model
 from ...model.tip_task import Preferences
-from ...robot import load_robot
 from ...robot.description import DESCRIPTION_MAX
 from ...robot.keep_out import KeepOut, parse_keep_out, text_of
-from ...robot.loading import robot_file
+from ...robot.loading import load_robot, robot_file
 from ..shared.parameters import Parameters
 
 

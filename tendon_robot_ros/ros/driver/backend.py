@@ -19,8 +19,7 @@ from std_msgs.msg import Float64MultiArray
 from ...common.errors import InputError
 from ...common.rotations import towards
 from ...common.yaml_reading import ConfigFields
-from ...drivers import Driver, make_driver
-from ...drivers.interface import BACKENDS
+from ...drivers.interface import BACKENDS, Driver, make_driver
 from ...drivers.mock import MockDriver
 from ...drivers.safety import SafetyRules
 from ...model.model import Model

@@ -14,8 +14,7 @@ import numpy as np
 
 from ...common.arrays import Floats
 from ...common.errors import DriverError, MovedError
-from ...drivers import Driver, Fault, Reading
-from ...drivers.interface import SETTLED_S
+from ...drivers.interface import SETTLED_S, Driver, Fault, Reading
 from ...drivers.safety import FOLLOWING, LIMP, OFF, RELEASED, Decision, Supervisor
 from ..shared.timing import CALL_TIMEOUT_S, SILENCE_S, WORK_TIMEOUT_S
 

@@ -30,9 +30,8 @@ from ...common.errors import InputError, TendonRobotError
 from ...common.rotations import from_quaternion
 from ...control import Refusal
 from ...control.loading import Loader
-from ...data import save_dataset
 from ...data.arrays import FRAME_S
-from ...data.folder import read_markers
+from ...data.folder import read_markers, save_dataset
 from ...data.tracker_faults import is_missing
 from ...monitoring import Monitor, MonitorSettings
 from ...monitoring.job import Work

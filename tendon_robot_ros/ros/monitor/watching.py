@@ -18,10 +18,9 @@ from ...common.errors import InputError
 from ...common.words import with_unit
 from ...inference.intervals import load_of
 from ...model.model import Model
-from ...monitoring import Monitor, StillMeasurement
 from ...monitoring.adaptation import Adaptation, ModelChange
 from ...monitoring.contact import Contact
-from ...monitoring.monitor import FrameMean
+from ...monitoring.monitor import FrameMean, Monitor, StillMeasurement
 from ...monitoring.watch import ArmWatch, WatchSettings
 from ...report.sentences import load_words
 from ...robot import Robot, dump_robot
