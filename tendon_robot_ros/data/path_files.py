@@ -129,9 +129,11 @@ class Places:
         )
 
     def at(self, times: Floats) -> tuple[Floats, Floats]:
-        """Return positions (n, 3) [m] and directions (n, 3) at times (n,) [s]."""
+        """Return positions (n, 3) [m] and unit vectors (n, 3) at times (n,) [s]."""
+        along = interpolated(times, self.times, self.directions)
+        sizes = np.linalg.norm(along, axis=1, keepdims=True)
         places = interpolated(times, self.times, self.positions)
-        return places, interpolated(times, self.times, self.directions)
+        return places, along / np.where(sizes > 0.0, sizes, np.nan)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -172,12 +174,6 @@ class PathRun:
     pull: bool
     target_values: Floats | None = None
 
-    def tip_at(self, times: Floats) -> tuple[Floats, Floats]:
-        """Return positions (n, 3) [m] and directions (n, 3) of the tip at times (n,) [s]."""
-        places, along = self.tips.at(times)
-        sizes = np.linalg.norm(along, axis=1, keepdims=True)
-        return places, along / np.where(sizes > 0.0, sizes, np.nan)
-
     def commanded_at(self, times: Floats) -> Floats:
         """Return commands (n, m) at times (n,) [s]."""
         return interpolated(times, self.command_times, self.commands)
@@ -185,8 +181,7 @@ class PathRun:
     def errors(self, times: Floats) -> tuple[Floats, Floats]:
         """Return distances (n,) [m] and angles (n,) [rad] between tip and target at times."""
         targets, views = self.targets.at(times)
-        places, along = self.tip_at(times)
-        views = views / np.linalg.norm(views, axis=1, keepdims=True)
+        places, along = self.tips.at(times)
         return np.linalg.norm(places - targets, axis=1), angle_between(views, along)
 
     def across(self) -> Floats:
@@ -205,7 +200,7 @@ class PathRun:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain data for JSON: the tip at every row [m], and its distances from targets."""
-        tips = self.tip_at(self.row_times)[0].tolist()
+        tips = self.tips.at(self.row_times)[0].tolist()
         content = {'times': self.row_times.tolist(), 'tips': tips, 'measured': self.measured}
         if self.target_values is None:
             content |= zip(('rms', 'largest', 'from_path'), self.distances(), strict=True)

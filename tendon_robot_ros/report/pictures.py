@@ -161,7 +161,7 @@ def tip_rows(run: PathRun) -> list[list[str]]:
     """Return the rows of a path of the tip: what was requested and what was reached."""
     errors, rotations = run.errors(run.row_times)
     goals, views = run.targets.at(run.row_times)
-    reached, _ = run.tip_at(run.row_times)
+    reached, _ = run.tips.at(run.row_times)
     rows = [['row', 'time [s]', 'asked x, y, z [mm]', 'reached [mm]', 'error', 'turned by']]
     for i, time in enumerate(run.row_times):
         angle = '' if np.isnan(views[i]).any() else f'{np.degrees(rotations[i]):.2f}°'
@@ -174,7 +174,7 @@ def tendon_rows(run: PathRun) -> list[list[str]]:
     """Return the rows of a path of tensions or wire pulls: requested, commanded, and the tip."""
     assert run.target_values is not None
     scale, unit = (1e3, 'mm') if run.pull else (1.0, 'N')
-    reached, _ = run.tip_at(run.row_times)
+    reached, _ = run.tips.at(run.row_times)
     commanded = run.commanded_at(run.row_times)
     rows = [['row', 'time [s]', f'asked [{unit}]', f'commanded [{unit}]', 'tip [mm]']]
     for i, time in enumerate(run.row_times):
@@ -233,7 +233,7 @@ def draw_run(run: PathRun, path: str | Path, title: str) -> Path:
 
 def draw_side(axes: Any, run: PathRun, axis: int) -> None:
     """Draw the requested and the reached path, with arrows where a row requests a direction."""
-    reached, _ = run.tip_at(run.row_times)
+    reached, _ = run.tips.at(run.row_times)
     if len(run.targets):
         goals, views = run.targets.at(run.row_times)
         axes.plot(
