@@ -85,22 +85,16 @@ def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
     """
     topics, bag = topics or Topics(), str(path)
     received: dict[str, list[tuple[int, Any]]] = {}
-    begins: list[int] = []
-    frames = set[str]()
+    start, frames = 0, set[str]()
     with opened(path) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
         roles = _roles(bag, types, topics)
         for connection, time, data in stored(reader, roles):
-            role = roles[connection.topic]
-            message: Any
-            begins = begins or [time]
-            if connection.msgtype == POSE_ARRAY:
-                frame, message = parse_pose_array(data)
-                frames.add(frame)
-            else:
-                message = reader.deserialize(data, connection.msgtype)
-            if connection.msgtype == POSE_STAMPED:
-                frame, message = poses_of(message)
+            role, kind = roles[connection.topic], connection.msgtype
+            start = start or time
+            message: Any = data if kind == POSE_ARRAY else reader.deserialize(data, kind)
+            if parse := {POSE_ARRAY: parse_pose_array, POSE_STAMPED: poses_of}.get(kind):
+                frame, message = parse(message)
                 frames.add(frame)
             if role != 'states' or topics.sender in message.header.frame_id:
                 received.setdefault(role, []).append((time, message))
@@ -114,7 +108,6 @@ def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
     for role in ('states', *shapes):
         if role not in received:
             raise DataSetError(bag, f'there is no message about {role}', 'record it again')
-    start = min(begins, default=0)
 
     def last(role: str) -> str | None:
         return str(received[role][-1][1].data) if role in received else None
@@ -419,12 +412,9 @@ def with_markers(recording: Recording, topics: Topics, names: Sequence[str]) -> 
         problem = f'markers are given in the frames {listing(sorted(poses))}, which nothing joins'
         remedy = 'record all of them in one frame, or /tf_static with them'
         raise DataSetError(bag, problem, remedy)
-    tracks, frame = [], 'base'
-    for parent, track in placed:
-        pose = poses[parent]
-        tracks.append(track if pose is None else _moved(track, *pose))
-        frame = parent if pose is None else frame
-    return replace(recording, tracks=tuple(tracks), marker_names=tuple(chosen), frame=frame)
+    tracks = tuple(_moved(track, poses[parent]) for parent, track in placed)
+    frame = next((parent for parent, pose in poses.items() if pose is None), 'base')
+    return replace(recording, tracks=tracks, marker_names=tuple(chosen), frame=frame)
 
 
 def _to_base(recording: Recording) -> Recording:
@@ -432,15 +422,17 @@ def _to_base(recording: Recording) -> Recording:
     if recording.in_base:
         return recording
     pose = Transforms(recording).to_base(recording.frame.lstrip('/'))
+    tracks = tuple(_moved(track, pose) for track in recording.tracks)
+    return replace(recording, tracks=tracks, frame=recording.frame if pose is None else 'base')
+
+
+def _moved(track: Track, pose: Pose | None) -> Track:
+    """Transform a track; None: as it is."""
     if pose is None:
-        return recording
-    tracks = tuple(_moved(track, *pose) for track in recording.tracks)
-    return replace(recording, tracks=tracks, frame='base')
-
-
-def _moved(track: Track, matrix: Floats, shift: Floats) -> Track:
+        return track
     from scipy.spatial.transform import Rotation
 
+    matrix, shift = pose
     quats = track.orientations.copy()
     known = np.linalg.norm(np.nan_to_num(quats), axis=-1) > 0.5
     known &= (quats != NO_ROTATION).any(axis=-1)

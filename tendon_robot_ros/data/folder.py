@@ -378,12 +378,8 @@ def _input_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
 def _shape_rows(dataset: DataSet) -> Iterator[Iterable[object]]:
     turned = dataset.orientations
     yield (*KEYS, *POSITION, *(QUATERNION if turned is not None else ()))
-    visits = dataset.visits
-    for p, posture in enumerate(dataset.postures if visits is None else visits.commands):
-        positions = dataset.positions[p].tolist()
-        quaternions = [] if turned is None else turned[p].tolist()
-        for q, trial in enumerate(dataset.trial_names):
-            for j, marker in enumerate(dataset.markers):
-                if dataset.mask[p, q, j]:
-                    rest = quaternions[q][j] if quaternions else ()
-                    yield (posture, trial, marker.name, *positions[q][j], *_cells(rest))
+    postures = dataset.postures if dataset.visits is None else dataset.visits.commands
+    seen = dataset.mask
+    rows = np.hstack([one[seen] for one in (dataset.positions, turned) if one is not None])
+    for (p, q, j), values in zip(np.argwhere(seen).tolist(), rows.tolist(), strict=True):
+        yield (postures[p], dataset.trial_names[q], dataset.markers[j].name, *_cells(values))
