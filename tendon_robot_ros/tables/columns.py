@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -114,7 +113,7 @@ def is_number(text: str) -> bool:
 def table_of(
     name: str,
     frame: Any,
-    units: Mapping[str, str] = MappingProxyType({}),
+    units: Mapping[str, str] | None = None,
     first: int | None = None,
     notes: tuple[str, ...] = (),
 ) -> RawTable:
@@ -123,7 +122,7 @@ def table_of(
         raise DataSetError(name, 'has no row below its header', 'export it again')
     for column in frame.columns[frame.columns.duplicated()]:
         raise DataSetError(name, f'column {short(str(column))} stands twice', 'rename one of them')
-    columns, units = {}, dict(units)
+    columns, units = {}, dict(units or {})
     for column in frame.columns:
         values = frame[column]
         if values.dtype.kind in 'fiub':
@@ -254,11 +253,8 @@ def guess_time(names: Sequence[ColumnName]) -> ColumnName | None:
     """Return the column of times, None where there is none."""
     known = [name for name in names if name.unit is None or name.unit.kind == 'time']
     exact = [name for name in known if name.words in (('t',), *((word,) for word in TIMES))]
-    for name in (*exact, *known):
-        begins = name.unit is not None and name.words[:1] == ('t',)
-        if name in exact or begins or TIMES & set(name.words):
-            return name
-    return None
+    marked = [n for n in known if TIMES & set(n.words) or (n.unit and n.words[:1] == ('t',))]
+    return next(iter([*exact, *marked]), None)
 
 
 @dataclass(frozen=True)
@@ -285,13 +281,13 @@ def triples_of(table: RawTable) -> list[Triple]:
         axis, quantity, words = name.component
         if axis:
             groups.setdefault((words, quantity), {}).setdefault(axis, name.column)
-    triples = []
-    for (words, quantity), axes in groups.items():
-        if set(axes) == set(AXES):
-            kind = table.kinds.get(axes['x'], MARKER)
-            columns = axes['x'], axes['y'], axes['z']
-            triples.append(Triple(words, columns, quantity, kind, table))
-    return triples
+    complete = {
+        key: [axes[axis] for axis in AXES] for key, axes in groups.items() if len(axes) == 3
+    }
+    return [
+        Triple(words, (x, y, z), quantity, table.kinds.get(x, MARKER), table)
+        for (words, quantity), (x, y, z) in complete.items()
+    ]
 
 
 def marker_label(columns: Sequence[str]) -> str:

@@ -231,9 +231,7 @@ def unnamed(shown: str, row: int, maker: Maker) -> DataSetError:
 def _qualisys_names(shown: str, keys: Mapping[str, Row], width: int) -> Row:
     """Return the names of the columns of a Qualisys file without a row of names."""
     markers = [name for name in keys.get('MARKER_NAMES', []) if name]
-    before = width - 3 * len(markers)
-    while before > 2:  # a tab at the end of every row
-        before -= 1
+    before = min(width - 3 * len(markers), 2)  # without a tab at the end of every row
     if not markers or before < 0:
         named = f'MARKER_NAMES ({len(markers)})'
         problem = f'is an export of Qualisys whose {named} do not fit to its {width} columns'
@@ -267,7 +265,6 @@ def _names(
         tracked and q.lower() in ('', PLACE) and bool(COORDINATE.fullmatch(a.split(' ')[-1]))
         for q, a in zip(quantities, axes, strict=True)
     ]
-    kinds = [_kind(types[i], title) for i in range(width)]
     twice = {name for name, count in Counter(names).items() if count > 1 and name}
     names = [f'{n} {types[i]}'.strip() if n in twice else n for i, n in enumerate(names)]
     for i, name in enumerate(names):  # the axis follows a type that distinguishes columns
@@ -276,7 +273,8 @@ def _names(
         if name not in axes and at is not None:
             names[i] = ' '.join([*words[:at], *words[at + 1 :], words[at]])
     _check(f'{shown}, row {row}', names)
-    return names, {n: k for n, k, is_one in zip(names, kinds, is_place, strict=True) if is_one}
+    placed = zip(names, types, is_place, strict=True)
+    return names, {name: _kind(text, title) for name, text, is_one in placed if is_one}
 
 
 def _sorted_labels(
@@ -348,8 +346,7 @@ def _leading(names: Row) -> Row:
     """Return the owner of every repeated name: the name before the group."""
     count = Counter(names)
     owners, owner = [], ''
-    for i, name in enumerate(names):
-        follows = names[i + 1] if i + 1 < len(names) else ''
+    for name, follows in pairwise([*names, '']):
         if count[name] == 1 and count[follows] > 1:
             owner = name
         owners.append(owner if count[name] > 1 else '')

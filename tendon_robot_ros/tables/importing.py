@@ -84,15 +84,14 @@ def import_table(
     show('looking where the arm stood still', 1, 4)
     follow_renumbered(used, chosen)
     measured = StillMeasurements(make_traces(used, chosen), chosen)
-    name = tables[0].name
     places = [marker.arc_length for marker in chosen.recipe.markers or ()]
     if None in places or not places:
         positions = np.array([one.positions for one in measured.segments])
-        order = order_markers(positions, robot, chosen.recipe.places or (), name)
+        order = order_markers(positions, robot, chosen.recipe.places or (), tables[0].name)
     else:  # the recipe gives their arc lengths
         arc_lengths = tuple(place for place in places if place is not None)
         order = MarkerOrder(tuple(range(len(places))), arc_lengths, AS_GIVEN)
-    raw, markers = _in_tracker_frame(measured, chosen, order, name)
+    raw, markers = _in_tracker_frame(measured, chosen, order)
     show('laying the frame of the tracker', 2, 4)
     catalogue = load_catalogue(catalogue)
     up_assumed: list[str] = []
@@ -113,14 +112,14 @@ def import_table(
     sizes = [f'{t.name} ({len(t):,} rows of {len(t.columns)} columns)' for t in tables]
     return ImportedTable(
         dataset=final,
-        recipe=_written_out(chosen.recipe, tables, markers, measured, placed),
+        recipe=_written_out(chosen, markers, measured, placed),
         taken=chosen,
         measured=measured,
         order=order,
         frame=frame,
         source=', '.join(sizes),
         predicted=predicted,
-        dropped=(*_columns_dropped(chosen, tables), *measured.dropped, *placed.dropped),
+        dropped=(*_columns_dropped(chosen), *measured.dropped, *placed.dropped),
         assumed=(
             *chosen.assumed,
             *measured.assumed,
@@ -138,18 +137,17 @@ def import_table(
 
 
 def _written_out(
-    recipe: Recipe,
-    tables: Sequence[RawTable],
+    chosen: Selection,
     markers: tuple[MarkerColumns, ...],
     measured: StillMeasurements,
     placed: Placed,
 ) -> Recipe:
     """Return the recipe with every choice, so that it reproduces this import without guesses."""
-    frame, rule = placed.frame, measured.rule
+    recipe, frame, rule = chosen.recipe, placed.frame, measured.rule
     x, y, z = frame.shift.tolist()
     return replace(
         recipe,
-        sources=tuple(t.name for t in tables),
+        sources=tuple(t.name for t in chosen.tables),
         markers=markers,
         points=None,
         places=None,
@@ -179,7 +177,7 @@ def _tables(source: Any, recipe: Recipe) -> list[RawTable]:
 
 
 def _in_tracker_frame(
-    measured: StillMeasurements, chosen: Selection, order: MarkerOrder, name: str
+    measured: StillMeasurements, chosen: Selection, order: MarkerOrder
 ) -> tuple[DataSet, tuple[MarkerColumns, ...]]:
     """Assemble the segments to a data set; positions stay in the tracker's frame."""
     known = chosen.recipe.markers or ()
@@ -196,16 +194,16 @@ def _in_tracker_frame(
         for one in measured.segments
     ]
     path = SEQUENCE if chosen.recipe.path == VISITS else chosen.recipe.path
-    kind, robot = chosen.kind, chosen.robot
+    name, kind, robot = chosen.tables[0].name, chosen.kind, chosen.robot
     dataset = segments_dataset(name, segments, robot, placed, input=kind, path=path)
     if chosen.recipe.path == VISITS:
         dataset = as_visits(dataset, segments, measured.begins)
     return dataset, tuple(markers)
 
 
-def _columns_dropped(chosen: Selection, tables: Sequence[RawTable]) -> list[str]:
+def _columns_dropped(chosen: Selection) -> list[str]:
     markers = [point for marker in chosen.recipe.markers or () for point in marker.parts[0]]
-    flags = {name.column for t in tables for name, _, _ in flag_columns(t, markers)}
+    flags = {name.column for t in chosen.tables for name, _, _ in flag_columns(t, markers)}
     names = [column for column in chosen.unused if column not in flags]
     lines = [f'no markers: {points}' for points in chosen.aside]
     if count := len(chosen.nameless):

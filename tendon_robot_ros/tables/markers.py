@@ -15,6 +15,7 @@ import numpy as np
 
 from ..common.arrays import Bools, Floats
 from ..common.errors import DataSetError
+from ..common.results import pandas
 from ..common.rotations import angle_between
 from ..common.words import listed, listing, mm
 from ..data import DataSet, default_markers
@@ -248,12 +249,8 @@ def not_visible(table: RawTable, markers: Sequence[Sequence[str]]) -> dict[str, 
     """Return masks (R, J) of the readings that a column marks as hidden, by reason."""
     masks = {}
     for name, kind, of in flag_columns(table, markers):
-        values = table.columns[name.column]
-        if not table.is_text(name.column):
-            hidden = values == 0.0 if kind is VISIBLE else np.nan_to_num(values) != 0.0
-        else:
-            known = {text: _is_hidden(text, kind) for text in set(values)}
-            hidden = np.array([known[text] for text in values])
+        index, cells = pandas().factorize(table.columns[name.column], use_na_sentinel=False)
+        hidden = np.array([_is_hidden(str(cell), kind) for cell in cells])[index]
         if hidden.any() and not hidden.all():
             mask = np.zeros((len(table), len(markers)), dtype=bool)
             mask[:, of] = hidden[:, None]

@@ -337,8 +337,8 @@ def _guess_same(segments: Sequence[Segment]) -> float:
     # smaller steps are none, higher ones lead to other postures
     highest = UNUSUAL_FACTOR * INPUT_TOLERANCE * size
     heights = linkage(inputs, 'single', metric='chebyshev')[:, 2]
-    steps = np.concatenate([[0.0], heights[heights < highest], [np.inf]])
-    steps[-1] = heights[len(steps) - 2] if len(steps) - 2 < len(heights) else highest
+    count = int(np.searchsorted(heights, highest))
+    steps = np.array([0.0, *heights, highest])[: count + 2]
     steps = np.maximum(steps, INPUT_TOLERANCE * size / UNUSUAL_FACTOR)
     ratios = steps[1:] / steps[:-1]
     best = int(ratios.argmax())

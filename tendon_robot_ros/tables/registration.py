@@ -94,7 +94,7 @@ class TrackerFrame:
         elif self.method == 'base':
             rotation, shift = np.eye(3), np.zeros(3)
         elif self.method == 'straight':
-            rotation, shift = _straight(measured, markers, dataset, visible)
+            rotation, shift = _straight(markers, dataset)
         else:
             above, first = None, np.eye(3)
             if self.method == 'level':
@@ -235,27 +235,24 @@ def _free_residual(measured: Floats, markers: Floats) -> float:
 
 def _straight_postures(markers: Floats, dataset: DataSet) -> Bools:
     """Return which postures are straight according to the model, (P,)."""
-    straight = np.zeros_like(markers)
-    straight[..., 2] = dataset.arc_lengths
-    off = np.linalg.norm(markers - straight - dataset.offsets, axis=2).max(axis=1)
-    is_straight: Bools = off < STRAIGHT_TOLERANCE * dataset.robot.length
-    return is_straight
+    straight = dataset.offsets + np.outer(dataset.arc_lengths, up_axis('z'))
+    off = np.linalg.norm(markers - straight, axis=2).max(axis=1)
+    return np.asarray(off < STRAIGHT_TOLERANCE * dataset.robot.length)
 
 
-def _straight(
-    measured: Floats, markers: Floats, dataset: DataSet, visible: Bools
-) -> tuple[Floats, Floats]:
+def _straight(markers: Floats, dataset: DataSet) -> tuple[Floats, Floats]:
     """Align the straight posture with +z, and fit the rotation about it to the other postures."""
-    chosen = _straight_postures(markers, dataset)
-    use = visible & chosen[:, None]
+    measured = dataset.mean
+    visible = np.isfinite(measured).all(axis=2)
+    use = visible & _straight_postures(markers, dataset)[:, None]
     if use.sum() < 2:
         needed = 'a posture in which the arm is straight with two markers seen'
         raise InputError(f'--frame straight needs {needed}')
     points = measured[use]
     arc = np.broadcast_to(dataset.arc_lengths, visible.shape)[use]
-    slope = (arc - arc.mean()) @ (points - points.mean(axis=0))
-    first = towards(slope / np.linalg.norm(slope)).T
     middle = points.mean(axis=0)
+    slope = (arc - arc.mean()) @ (points - middle)
+    first = towards(slope / np.linalg.norm(slope)).T
     along = up_axis('z')
     a, b = (measured[visible] - middle) @ first.T, markers[visible] - arc.mean() * along
     rotation = rotation_about(along, a, b) @ first
