@@ -197,8 +197,7 @@ def _roles(bag: str, types: Mapping[str, str], topics: Topics) -> dict[str, str]
     for topic, role, kind in [(topics.states, 'states', JOINT_STATE), *shapes]:
         name = '/' + topic.lstrip('/')
         if (name_in_bag := topic_of(types, topic, kind)) is None:
-            sources = other_sources(types)
-            alternatives = [t for t in sources if role == 'shape' or types[t] == TF]
+            alternatives = [t for t in other_sources(types) if role == 'shape' or types[t] == TF]
             if role != 'states' and name not in types and alternatives:
                 continue  # markers come otherwise: `with_markers` finds them, or says so
             known = listing(sorted(t for t, k in types.items() if k == kind))

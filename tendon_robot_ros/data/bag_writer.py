@@ -250,8 +250,7 @@ def _write(dataset: DataSet, writer: BagWriter, timing: Timing) -> None:
             writer.add_topic(topic, STRING, latched=True)
         writer.add_topic(STATES, JOINT_STATE)
         writer.add_topic(SHAPE, POSE_ARRAY)
-        description = dump_description(dataset)
-        writer.write(DESCRIPTION, START, build.string(description))
+        writer.write(DESCRIPTION, START, build.string(dump_description(dataset)))
         writer.write(ROBOT, START, build.string(dump_robot(dataset.robot)))
         time, step = START, round(NANOSECONDS / timing.rate)
         m, J = len(dataset.input_names), len(dataset.markers)
@@ -288,8 +287,7 @@ def _stages(dataset: DataSet, timing: Timing) -> Iterator[tuple[str, Floats]]:
     for p, q in order:
         known = dataset.orientations
         turned = np.full((J, 4), np.nan) if known is None else known[p, q]
-        places = dataset.positions[p, q]
-        state = np.concatenate([inputs[p, q], places.ravel(), turned.ravel()])
+        state = np.concatenate([inputs[p, q], dataset.positions[p, q].ravel(), turned.ravel()])
         between = [straight] if dataset.path == 'from_straight' else []
         waypoints = np.array([last, *between, state])
         progress = np.linspace(0.0, len(waypoints) - 1, move + 2)[1:-1]

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..common.arrays import Bools, Floats, Ints
+from ..common.arrays import Bools, Floats, Ints, evenly
 from ..common.errors import DataSetError, InputError, choice, names, number, refusal
 from ..common.results import TextResult, make_frame
 from ..common.words import listing
@@ -480,7 +480,7 @@ class DataSet(TextResult):
         measured = np.flatnonzero(self.trials > 0)
         if len(measured) <= count:
             return self
-        kept = measured[np.linspace(0, len(measured) - 1, count).round().astype(int)]
+        kept = measured[evenly(len(measured), count)]
         chosen = self.select(self.postures[i] for i in kept)
         if self.path == 'sequence':
             path = np.nan_to_num(chosen.inputs)

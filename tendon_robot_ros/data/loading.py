@@ -122,8 +122,7 @@ def import_bag(
     recording, unheard = _while_states_come(recording)
     rule = (rule or Rule()).fill(robot, kind)
     speeds = ArmMotion.of(recording, rule)
-    sequence = described['path'] == 'sequence'
-    segments, excluded = find_segments(recording, speeds, rule, sequence)
+    segments, excluded = find_segments(recording, speeds, rule, described['path'] == 'sequence')
     if not any(np.isfinite(one.positions).any() for one in segments):
         times = [track.times for track in recording.tracks]
         raise never_still(recording.name, [speeds], times, rule)

@@ -152,13 +152,13 @@ def origins(file: CsvFile) -> Ints | None:
     """Return the index of the posture before (R,), None if the file has no such column."""
     if ORIGIN not in file.labels:
         return None
-    postures, names = file.labels['posture'], file.labels[ORIGIN]
-    origin = file.translate(ORIGIN, postures)
-    unknown = (origin < 0) & np.array([name != '' for name in names])[file.codes[ORIGIN]]
+    postures = file.labels['posture']
+    origin = file.translate(ORIGIN, (*postures, ''))
+    unknown = origin < 0
     problem = f'previous is {file.label(int(unknown.argmax()), ORIGIN)!r}, which no row describes'
     remedy = f'use one of {listing(postures)}, or leave it empty: from the straight arm'
     file.refuse(unknown, problem, remedy)
-    return np.where(origin < 0, STRAIGHT, origin)
+    return np.where(origin == len(postures), STRAIGHT, origin)
 
 
 def _check(file: CsvFile, values: Floats, robot: Robot, kind: str) -> None:

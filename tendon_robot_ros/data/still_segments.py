@@ -371,8 +371,7 @@ def segments_dataset(
         arrays[key][at] = rows
     inputs, turned = arrays.pop('inputs'), arrays['orientations']
     mean, arrays['trial_inputs'] = mean_inputs(inputs, filled > 0, postures, bag)
-    known = np.isfinite(turned)
-    if np.all(turned[known].reshape(-1, 4) == NO_ROTATION):
+    if np.all(turned[np.isfinite(turned)].reshape(-1, 4) == NO_ROTATION):
         del arrays['orientations']
     if values.get('position_noise') is None and len(trials) == 1:
         values['position_noise'] = frame_noise(segments)

@@ -178,8 +178,7 @@ def renumbered(positions: Floats) -> list[tuple[int, ...]]:
         if not off:
             continue
         chain = ends[int(np.argmin(off))]
-        ignored = [j, chain[-1]]
-        others = np.delete(positions[first[j]], ignored, axis=0)
+        others = np.delete(positions[first[j]], [j, chain[-1]], axis=0)
         others = others[np.isfinite(others[:, 0])]
         apart = np.linalg.norm(others - place, axis=1).min(initial=np.inf)
         if len(others) and min(off) < 0.5 * apart:

@@ -33,8 +33,7 @@ class Visits:
         """Return the command (P,) that the arm came from; an empty name is the straight arm."""
         origins = [''] * len(self.commands)
         for v in np.argsort(self.counts, kind='stable').tolist():  # what counts has the last word
-            row = self.rows[v]
-            origins[row] = '' if self.fresh[v] else self.commands[self.rows[v - 1]]
+            origins[self.rows[v]] = '' if self.fresh[v] else self.commands[self.rows[v - 1]]
         return tuple(origins)
 
     def among(self, postures: Ints) -> Visits:

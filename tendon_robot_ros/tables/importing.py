@@ -17,8 +17,9 @@ from ..data import DataSet, Marker
 from ..data.still_segments import Segment, frame_noise, rows_of, segments_dataset
 from ..data.visits import split_by_order
 from ..effects import Catalogue, CatalogueLike, load_catalogue
+from ..inference.crossval import predict
 from ..inference.noise import input_effect, input_slopes
-from ..inference.predict import Predictor
+from ..inference.predict import Predictor, slope
 from ..robot import RobotLike, load_robot
 from ..robot.estimates import TRACKER_NOISE_M
 from .columns import RawTable, marker_label, table_of
@@ -102,9 +103,7 @@ def import_table(
     placed = Placed(raw, chosen.recipe, catalogue)
     final, frame = placed.dataset, placed.frame
     show('comparing with the model', 3, 4)
-    predictor = Predictor(final, final.robot, catalogue)
-    predicted = predictor.markers({})
-    assert predicted is not None  # this robot had equilibria in these postures above
+    predictor, predicted = predict(final, final.robot, catalogue)
     if final.path == FROM_STRAIGHT and not final.trials.all():
         # no other posture was reached from one whose trials are all left out
         kept = np.flatnonzero(final.trials)
@@ -274,10 +273,8 @@ def _offset_warnings(dataset: DataSet, predicted: Floats, catalogue: Catalogue) 
     moved = []
     for step in ((TRACKER_NOISE_M, 0.0, 0.0), (0.0, TRACKER_NOISE_M, 0.0)):
         markers = tuple(replace(marker, offset=step) for marker in dataset.markers)
-        aside = replace(dataset, markers=markers)
-        places = Predictor(aside, dataset.robot, catalogue).markers({})
-        assert places is not None  # where markers sit does not change an equilibrium
-        moved.append((places - predicted) / TRACKER_NOISE_M)
+        aside = Predictor(replace(dataset, markers=markers), dataset.robot, catalogue)
+        moved.append(slope(predicted, aside.markers({}), TRACKER_NOISE_M))
     offset = side_offset(dataset, predicted, (moved[0], moved[1]))
     if offset is None:
         return []

@@ -174,8 +174,7 @@ def _is_rim(places: Floats) -> bool:
     if not (spread <= DISTANCE_TOLERANCE * usual.max()).all():
         return False
     one = visible[np.argmin(np.abs(apart - usual).max(axis=1))][None]
-    centre = circle_centres(one)
-    radii = np.linalg.norm(one[0] - centre, axis=1)
+    radii = np.linalg.norm(one[0] - circle_centres(one), axis=1)
     return bool(
         np.ptp(radii) <= 2.0 * DISTANCE_TOLERANCE * radii.mean()
         and 0.5 * usual.max() <= radii.mean() <= usual.max()  # of a third of the circle or more

@@ -159,8 +159,7 @@ class StillMeasurements:
             motions = [_without_peaks(ArmMotion.of(t.recording, rule)) for t in traces]
             rule = _still_rule(motions, traces, rule, recipe)
         self.rule = rule
-        pairs = zip_longest(traces, motions)
-        pieces = [_piece(one, moved, rule, chosen) for one, moved in pairs]
+        pieces = [_piece(one, moved, rule, chosen) for one, moved in zip_longest(traces, motions)]
         segments = [one for piece in pieces for one in piece.segments]
         if not segments and sparse:
             raise DataSetError(name, sparse, SETTLED_ROWS)

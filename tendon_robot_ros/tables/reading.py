@@ -303,8 +303,7 @@ def _bad_row(shown: str, delimiter: str, width: int, row: int, cells: int) -> Da
     remedy = 'write every row with the same columns, empty cells where there is nothing'
     if cells > width and delimiter == ',':
         remedy += ' (decimal commas? export with points)'
-    problem = f'has {cells} cells under {width} columns'
-    return DataSetError(f'{shown}, row {row}', problem, remedy)
+    return DataSetError(f'{shown}, row {row}', f'has {cells} cells under {width} columns', remedy)
 
 
 def read_c3d(shown: str, path: Path) -> RawTable:

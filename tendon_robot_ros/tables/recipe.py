@@ -399,8 +399,7 @@ class Selection:
         This is a warning and no error, because the header of a logger may be wrong, and then the
         unit given by the user must hold.
         """
-        inputs = (self.recipe.inputs or {}).values()
-        used_as = {use.column: ('inputs', use.unit) for use in inputs}
+        used_as = {u.column: ('inputs', u.unit) for u in (self.recipe.inputs or {}).values()}
         columns = [column for marker in self.recipe.markers or () for column in marker.columns]
         used_as |= dict.fromkeys(columns, ('positions', self.recipe.positions or ''))
         used_as |= {column: ('time', unit) for column, unit in (self.recipe.time or {}).items()}
@@ -556,8 +555,7 @@ def _time_unit(table: RawTable, column: str) -> tuple[str, str]:
 
 def time_column(table: RawTable, times: Mapping[str, str] | None) -> str | None:
     """Return the column of times that a table has."""
-    known = (c for c in times or {} if table.holds(c))
-    return next(known, None)
+    return next((c for c in times or {} if table.holds(c)), None)
 
 
 def _extent(tables: Sequence[RawTable], recipe: Recipe) -> float:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from ..common.arrays import DIGITS, Bools, Floats
 from ..common.errors import DataSetError, InputError
 from ..common.estimation import ITERATIONS_MAX
-from ..common.rotations import angle_between, rigid_fit, rotation_about, towards
+from ..common.rotations import angle_between, rigid_fit, rotation_about, rotation_between
 from ..common.words import STANDARD_GRAVITY, listing, mm
 from ..data import DataSet
 from ..data.arrays import Vector
@@ -102,7 +102,7 @@ class TrackerFrame:
                     needed = "the tracker's --up and the robot's gravity (where the arm points)"
                     raise InputError(f'--frame level needs {needed}')
                 above = -gravity / np.linalg.norm(gravity)  # up in the base frame, (3,)
-                first = towards(above) @ towards(up_axis(up)).T  # the tracker's up onto that
+                first = rotation_between(up_axis(up), above)  # the tracker's up onto that
             rotation, shift = _weighted(measured @ first.T, markers, dataset.arc_lengths, above)
             rotation = rotation @ first
         # as a file gives it back
@@ -252,8 +252,8 @@ def _straight(markers: Floats, dataset: DataSet) -> tuple[Floats, Floats]:
     arc = np.broadcast_to(dataset.arc_lengths, visible.shape)[use]
     middle = points.mean(axis=0)
     slope = (arc - arc.mean()) @ (points - middle)
-    first = towards(slope / np.linalg.norm(slope)).T
     along = up_axis('z')
+    first = rotation_between(slope, along)
     a, b = (measured[visible] - middle) @ first.T, markers[visible] - arc.mean() * along
     rotation = rotation_about(along, a, b) @ first
     return rotation, arc.mean() * along - rotation @ middle

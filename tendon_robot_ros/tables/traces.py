@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from ..common.arrays import Floats, Ints, interpolated
 from ..common.errors import DataSetError, InputError, short
@@ -16,6 +15,7 @@ from ..common.words import UNITS, find_unit, listing
 from ..data.arrays import FRAME_S, VALUES_MAX
 from ..data.bag_reader import Recording, Track
 from ..data.tracker_faults import exchange_lines, joined, put_back, renumbered, without_unseen
+from ..inference.statistics import minimum
 from ..robot.estimates import TRACKER_NOISE_M
 from .columns import ROWS_MAX, UNUSUAL_FACTOR, RawTable, marker_label
 from .markers import circle_centres, not_visible
@@ -213,8 +213,7 @@ def _trace(
     if recipe.time:
         cut = _cut_jumps(positions, times)
         positions, exchanges = put_back(positions)
-    turned = np.broadcast_to(np.nan, (*positions.shape[:2], 4))
-    track = Track(times, positions, turned)
+    track = Track(times, positions, np.broadcast_to(np.nan, (*positions.shape[:2], 4)))
     recording = Recording(marker_table.name, state_times, (track,), inputs=inputs)
     labels = [marker_label(marker.columns) for marker in recipe.markers or ()]
     exchange_notes = tuple(exchange_lines(exchanges, times, labels))
@@ -319,23 +318,15 @@ def _clock(
     matches = np.array([_matches(*coarse, one).max() for one in drifts.tolist()])
     rough = int(matches.argmax())
     beside = drifts[rough] + np.array([-1.0, 1.0]) * DRIFT_STEP_S / span
-    drift = float(
-        minimize_scalar(
-            lambda rate: -_matches(*fine, float(rate)).max(),
-            bounds=np.clip(beside, -DRIFT_MAX, DRIFT_MAX),
-            method='bounded',
-            options={'xatol': 0.25 * FRAME_S / span},
-        ).x
-    )
+    low, high = np.clip(beside, -DRIFT_MAX, DRIFT_MAX).tolist()
+    drift, _ = minimum(lambda rate: -_matches(*fine, rate).max(), low, high, 0.25 * FRAME_S / span)
     if abs(drift) * last < 2.5 * FRAME_S:  # at the end of the record: they run alike
         drift = 0.0
     match = _matches(*fine, drift)
     best = int(match.argmax())
-    place = float(best)
-    if 0 < best < len(match) - 1:  # the vertex of the parabola through the peak and beside it
-        left, middle, right = match[best - 1 : best + 2].tolist()
-        if (curved := left - 2.0 * middle + right) < 0.0:
-            place += float(np.clip(0.5 * (left - right) / curved, -0.5, 0.5))
+    place, (left, middle, right) = float(best), np.pad(match, 1)[best : best + 3].tolist()
+    if (curved := left - 2.0 * middle + right) < 0.0:  # the vertex of the parabola through them
+        place += float(np.clip(0.5 * (left - right) / curved, -0.5, 0.5))
     before = len(match) - len(fine[0])  # steps by which the markers' grid may begin earlier
     delay, drift = round((place - before) * step, 3), round(drift, 7)
     explained, next_best = match[best], max(_next_best(match, best), _next_best(matches, rough))
