@@ -19,6 +19,9 @@ PLAUSIBLE_FACTOR = 3.0
 SAMPLES_MIN = 10  # [1] of which a spread or a rate is estimated, because fewer tell none
 # [s] two times that are nearer are one for a tracker, because its frames have 30 to 100 Hz
 FRAME_S = 0.02
+# [1] probability by chance of what is refused: that a marker repeats its last place exactly in so
+# many steps, that a still arm seems to have two senders
+CHANCE_PROBABILITY = 1e-9
 VALUES_MAX = 20_000_000  # [1] readings in an array, so that it fits into memory
 # [1] quaternion x, y, z, w of trackers that measure no orientation, because messages need one
 NO_ROTATION = (0.0, 0.0, 0.0, 1.0)

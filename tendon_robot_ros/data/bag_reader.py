@@ -16,9 +16,8 @@ from ..common.errors import DataSetError, reason_of
 from ..common.rotations import from_quaternion
 from ..common.words import PROGRAM, listing
 from ..robot.estimates import NOISE_FACTOR, TRACKER_NOISE_M
-from .arrays import NO_ROTATION
+from .arrays import CHANCE_PROBABILITY, NO_ROTATION
 from .bag_writer import DESCRIPTION, JOINT_STATE, LABEL, POSE_ARRAY, ROBOT, STRING, need_rosbags
-from .tracker_faults import CHANCE_PROBABILITY
 
 STORED = ('.mcap', '.db3')  # endings of recordings in one file
 POSE_STAMPED = 'geometry_msgs/msg/PoseStamped'

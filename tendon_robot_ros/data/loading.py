@@ -25,16 +25,7 @@ from .bag_writer import DESCRIPTION, ROBOT
 from .dataset import EXPECTED, DataSet, HasDataSet, Part, as_dataset
 from .folder import describe, read_fields, read_folder
 from .still_segments import ArmMotion, Rule, Segment, find_segments, never_still, segments_dataset
-from .tracker_faults import (
-    changes,
-    exchange_lines,
-    is_missing,
-    joined,
-    put_back,
-    renumbered,
-    unseen_lines,
-    without_unseen,
-)
+from .tracker_faults import undo_exchanges, undo_renumbering, without_unseen_readings
 from .visits import join_visits
 
 # [s] after which a tendon state tells no longer what the inputs are, because drivers publish many
@@ -113,12 +104,13 @@ def import_bag(
         problem = f'markers are in the frame {recording.frame!r}, and {unplaced}'
         remedy = 'take it in with `import bag`, which finds where it lies (--frame base: the base)'
         raise DataSetError(recording.name, problem, remedy)
-    recording, renumbered_lines = _renumbered(recording, len(expected))
+    recording, renumbered = undo_renumbering(recording, len(expected))
     markers = _markers(recording, robot, listed)
     recording = replace(recording, inputs=_inputs(recording, robot, kind))
-    recording, unseen = _without_unseen(recording, robot, [marker.name for marker in markers])
+    names = [marker.name for marker in markers]
+    recording, unseen = without_unseen_readings(recording, robot.length, names)
     refuse_two_senders(recording)
-    recording, exchanged = _put_back(recording)
+    recording, exchanged = undo_exchanges(recording)
     recording, unheard = _while_states_come(recording)
     rule = (rule or Rule()).fill(robot, kind)
     speeds = ArmMotion.of(recording, rule)
@@ -141,54 +133,8 @@ def import_bag(
         raise DataSetError(recording.name, problem, remedy)
     segments = plausible_inputs(recording.name, segments, robot, kind, rule)
     dataset = segments_dataset(recording.name, segments, robot, markers, **described)
-    left_out = (*renumbered_lines, *exchanged, *unseen, *unheard, *excluded)
+    left_out = (*renumbered, *exchanged, *unseen, *unheard, *excluded)
     return Imported(dataset, tuple(segments), speeds, recording, rule, left_out)
-
-
-def _renumbered(recording: Recording, count: int) -> tuple[Recording, list[str]]:
-    """Join the tracks of `count` markers that were renumbered; return a line for each, too."""
-    track = recording.tracks[0]
-    if recording.marker_names or track.positions.shape[1] <= count:
-        return recording, []
-    positions = np.where(is_missing(track.positions)[..., None], np.nan, track.positions)
-    chains = renumbered(positions)
-    if len(chains) != count:
-        return recording, []
-    lines = [
-        f'poses {listing(map(str, chain))} of the shape are one marker, numbered anew'
-        for chain in chains
-        if len(chain) > 1
-    ]
-    turned = np.where(np.isnan(positions[..., :1]), np.nan, track.orientations)
-    one = replace(track, positions=joined(positions, chains), orientations=joined(turned, chains))
-    return replace(recording, tracks=(one,)), lines
-
-
-def _put_back(recording: Recording) -> tuple[Recording, list[str]]:
-    """Undo exchanges of markers within a shape; return the recording and a line for each."""
-    if recording.marker_names or len(recording.tracks) != 1:
-        return recording, []
-    (track,) = recording.tracks
-    places = np.concatenate([track.positions, track.orientations], axis=2)
-    places, exchanges = put_back(places)
-    names = [f'pose {j} of the shape' for j in range(places.shape[1])]
-    one = replace(track, positions=places[..., :3], orientations=places[..., 3:])
-    return replace(recording, tracks=(one,)), exchange_lines(exchanges, track.times, names)
-
-
-def _without_unseen(
-    recording: Recording, robot: Robot, names: list[str]
-) -> tuple[Recording, list[str]]:
-    """Exclude invalid readings of markers; return the recording and a line for each reason."""
-    steps = [track.times[1:][changes(track.positions).any(axis=1)] for track in recording.tracks]
-    tracks, lines = [], list[str]()
-    for k, track in enumerate(recording.tracks):
-        others = np.sort(np.concatenate([np.zeros(0), *steps[:k], *steps[k + 1 :]]))
-        news = np.diff(np.searchsorted(others, track.times)) > 0
-        positions, counts = without_unseen(track.positions, robot.length, news)
-        lines += unseen_lines(counts, names if len(recording.tracks) == 1 else [names[k]])
-        tracks.append(replace(track, positions=positions))
-    return replace(recording, tracks=tuple(tracks)), lines
 
 
 def _while_states_come(recording: Recording) -> tuple[Recording, list[str]]:

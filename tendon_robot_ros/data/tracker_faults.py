@@ -9,18 +9,17 @@ was lost may return under another number, and from some frame on two markers may
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from ..common.arrays import Bools, Floats, Ints
-from ..common.words import listed
-from .arrays import PLAUSIBLE_FACTOR, SAMPLES_MIN
+from ..common.words import listed, listing
+from .arrays import CHANCE_PROBABILITY, PLAUSIBLE_FACTOR, SAMPLES_MIN
+from .bag_reader import Recording
 
 UNSEEN_M = 1e3  # [m] farther away there is no marker, because no tracker sees so far
-# [1] probability by chance of what is refused: that a marker repeats its last place exactly in so
-# many steps, that a still arm seems to have two senders
-CHANCE_PROBABILITY = 1e-9
 # [1] of its frames, that a marker may share with the one it is numbered anew as, because a tracker
 # that finds it again needs some frames to drop the old number
 SHARED_FRAMES_MAX = 0.01
@@ -247,3 +246,47 @@ def joined(places: Floats, chains: Sequence[Sequence[int]]) -> Floats:
             place = np.where(np.isnan(place), places[:, j], place)
         columns.append(place)
     return np.stack(columns, axis=1)
+
+
+def undo_renumbering(recording: Recording, count: int) -> tuple[Recording, list[str]]:
+    """Join the tracks of `count` markers that were renumbered; return a line for each, too."""
+    track = recording.tracks[0]
+    positions = np.where(is_missing(track.positions)[..., None], np.nan, track.positions)
+    chains = renumbered(positions)
+    if recording.marker_names or not len(chains) == count < positions.shape[1]:
+        return recording, []
+    lines = [
+        f'poses {listing(map(str, chain))} of the shape are one marker, numbered anew'
+        for chain in chains
+        if len(chain) > 1
+    ]
+    turned = np.where(np.isnan(positions[..., :1]), np.nan, track.orientations)
+    one = replace(track, positions=joined(positions, chains), orientations=joined(turned, chains))
+    return replace(recording, tracks=(one,)), lines
+
+
+def undo_exchanges(recording: Recording) -> tuple[Recording, list[str]]:
+    """Undo exchanges of markers within a shape; return the recording and a line for each."""
+    if recording.marker_names:
+        return recording, []
+    (track,) = recording.tracks
+    readings = [track.positions, track.orientations]
+    places, exchanges = put_back(np.concatenate(readings, axis=2))
+    names = [f'pose {j} of the shape' for j in range(places.shape[1])]
+    one = replace(track, positions=places[..., :3], orientations=places[..., 3:])
+    return replace(recording, tracks=(one,)), exchange_lines(exchanges, track.times, names)
+
+
+def without_unseen_readings(
+    recording: Recording, length: float, names: list[str]
+) -> tuple[Recording, list[str]]:
+    """Exclude invalid readings of markers; return the recording and a line for each reason."""
+    steps = [track.times[1:][changes(track.positions).any(axis=1)] for track in recording.tracks]
+    tracks, lines = [], list[str]()
+    for k, track in enumerate(recording.tracks):
+        others = np.sort(np.concatenate([np.zeros(0), *steps[:k], *steps[k + 1 :]]))
+        news = np.diff(np.searchsorted(others, track.times)) > 0
+        positions, counts = without_unseen(track.positions, length, news)
+        lines += unseen_lines(counts, names if len(recording.tracks) == 1 else [names[k]])
+        tracks.append(replace(track, positions=positions))
+    return replace(recording, tracks=tuple(tracks)), lines
