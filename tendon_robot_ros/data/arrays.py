@@ -132,10 +132,8 @@ def read_frame(
         raise DataSetError(name, 'has no row', HINT)
     postures, posture = _codes(frame['posture'])
     markers, marker = _codes(frame['marker'])
-    trials: tuple[str, ...] = ('0',)
-    trial = np.zeros(len(frame), dtype=np.int64)
-    if 'trial' in frame.columns:
-        trials, trial = _codes(frame['trial'])
+    one_each = ('0',), np.zeros(len(frame), dtype=np.int64)
+    trials, trial = _codes(frame['trial']) if 'trial' in frame.columns else one_each
     sizes = len(postures), len(trials), len(markers)
     rows = np.ravel_multi_index((posture, trial, marker), sizes)
     values, counts = np.unique(rows, return_counts=True)

@@ -6,9 +6,9 @@ imported.py       its result: the data set, in words and one picture what was ta
 reading.py        a file to tables of named columns: text, Parquet, .c3d; long tables to wide ones
 headers.py        the header of a text table, read by its structure, whoever wrote it
 columns.py        named columns of numbers, as they were found (a DataFrame as well), and what a
-                  column is, by its name
-markers.py        which columns are markers (points, centres of rims, bodies), whether they were
-                  seen, and where on the arm each marker is
+                  column is, by its name; whether markers were seen, where a column says so
+markers.py        which columns are markers (points, centres of rims, bodies), and where on the
+                  arm each marker is
 recipe.py         import.yaml: every choice written out; the columns and units that it leaves open
 traces.py         columns to inputs and markers over time, in SI units; the tracker's clock
 measuring.py      where the arm stood still: cleaned, named by posture and trial; whether it was

@@ -1,9 +1,14 @@
-"""Named columns of numbers as read from a file, and the role of each by its name and unit."""
+"""
+Named columns of numbers as read from a file, and the role of each by its name and unit.
+
+A role is a time, an input, a coordinate, or to say whether a marker was visible (State of NDI,
+visible, occluded and the like).
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import Any
@@ -11,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.arrays import Floats
+from ..common.arrays import Bools, Floats
 from ..common.errors import DataSetError, short
+from ..common.results import pandas
 from ..common.words import Unit, find_unit, split_name
 
 # [1] times what is usual, because what is more is something else: motion, or another marker
@@ -351,3 +357,80 @@ def _by_number(names: Sequence[ColumnName], inputs: Sequence[str]) -> list[Colum
             stems.setdefault(stem, {})[int(numbers[0])] = name
     alike = next((one for one in stems.values() if len(one) == len(inputs)), {})
     return [alike[number] for number in sorted(alike)]
+
+
+# words in the name of a column that says whether a marker was visible, then in its cells
+VISIBLE = {'visible', 'visibility', 'seen', 'valid', 'tracked', 'detected'}  # 0: hidden
+HIDDEN = {'occluded', 'occlusion', 'hidden', 'missing', 'lost', 'invalid'}  # 0: visible
+STATE = {'state', 'status'}  # in words
+YES, NO = {'1', 'true', 'yes', 'y', 't'}, {'0', 'false', 'no', 'n', 'f'}
+LOST = HIDDEN | {'disabled', 'unseen', 'untracked', 'out', 'not', 'bad', 'none', 'unknown'}
+
+
+def kind_of_flag(name: ColumnName) -> set[str] | None:
+    """Return the set of words that the name matches: `VISIBLE`, `HIDDEN` or `STATE`; else None."""
+    return next((kind for kind in (VISIBLE, HIDDEN, STATE) if kind & set(name.words)), None)
+
+
+def flag_columns(
+    table: RawTable, markers: Sequence[Sequence[str]]
+) -> Iterator[tuple[ColumnName, set[str], list[int]]]:
+    """
+    Find the columns that say whether markers were visible.
+
+    Parameters
+    ----------
+    table : RawTable
+    markers : sequence of columns
+        Of x, y and z of each marker.
+
+    Yields
+    ------
+    name : ColumnName
+    kind : set of str
+        `VISIBLE`, `HIDDEN` or `STATE`.
+    of : list of int
+        Indices of its markers: the one with the same words, or all if it names none.
+
+    """
+    names = names_of(table)
+    used = {column for columns in markers for column in columns}
+    own = {name.column: name for name in names if name.column in used}
+    owners = [_words(own[c[0]].component[2]) if c[0] in own else () for c in markers]
+    for name in names:
+        kind = kind_of_flag(name)
+        is_number_of_state = kind is STATE and not table.is_text(name.column)
+        if kind is None or name.column in used or is_number_of_state:
+            continue  # what a number of a state means only its maker knows
+        owner = _words(word for word in name.words if word not in kind)
+        of = [j for j, words in enumerate(owners) if words == owner]
+        if of or not owner:
+            yield name, kind, of or list(range(len(markers)))
+
+
+def not_visible(table: RawTable, markers: Sequence[Sequence[str]]) -> dict[str, Bools]:
+    """Return masks (R, J) of the readings that a column marks as hidden, by reason."""
+    masks = {}
+    for name, kind, of in flag_columns(table, markers):
+        index, cells = pandas().factorize(table.columns[name.column], use_na_sentinel=False)
+        hidden = np.array([_is_hidden(str(cell), kind) for cell in cells])[index]
+        if hidden.any() and not hidden.all():
+            mask = np.zeros((len(table), len(markers)), dtype=bool)
+            mask[:, of] = hidden[:, None]
+            masks[f'the column {name.column} says so'] = mask
+    return masks
+
+
+def _words(words: Iterable[str]) -> tuple[str, ...]:
+    return tuple(word for word in words if word not in FILLERS)
+
+
+def _is_hidden(text: str, kind: set[str]) -> bool:
+    words = set(text.lower().replace('_', ' ').split())
+    if text in MISSING:
+        return False
+    if is_number(text):
+        return kind is not STATE and (float(text) == 0.0) == (kind is VISIBLE)
+    if words & LOST:
+        return True
+    return bool(words & NO) if kind is VISIBLE else kind is HIDDEN and bool(words & YES)

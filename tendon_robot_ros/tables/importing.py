@@ -22,9 +22,9 @@ from ..inference.noise import input_effect, input_slopes
 from ..inference.predict import Predictor, slope
 from ..robot import RobotLike, load_robot
 from ..robot.estimates import TRACKER_NOISE_M
-from .columns import RawTable, marker_label, table_of
+from .columns import RawTable, flag_columns, marker_label, table_of
 from .imported import ImportedTable
-from .markers import AS_GIVEN, MarkerOrder, flag_columns, order_markers, places_contradicted
+from .markers import AS_GIVEN, MarkerOrder, order_markers, places_contradicted
 from .measuring import FROM_STRAIGHT, SEQUENCE, VISITS, StillMeasurements
 from .reading import read_tables, widened
 from .recipe import FrameChoice, MarkerColumns, Recipe, Selection, Stillness, as_recipe

@@ -1,54 +1,32 @@
 """
 The columns that are markers of the arm, and the arc length of each marker.
 
-Markers are named triples of columns, centres of rims, or bodies; other columns say whether a
-marker was visible (State of NDI, visible, occluded and the like).
+Markers are named triples of columns, centres of rims, or bodies.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from ..common.arrays import Bools, Floats
+from ..common.arrays import Floats
 from ..common.errors import DataSetError
-from ..common.results import pandas
 from ..common.rotations import angle_between
 from ..common.words import listed, listing, mm
 from ..data import DataSet, default_markers
 from ..inference.statistics import mean_over
 from ..robot import Robot
 from ..robot.estimates import TRACKER_NOISE_M
-from .columns import (
-    BODY,
-    BODY_MARKER,
-    DERIVED,
-    FILLERS,
-    MARKER,
-    MISSING,
-    ColumnName,
-    RawTable,
-    Triple,
-    is_number,
-    marker_label,
-    names_of,
-    triples_of,
-)
+from .columns import BODY, BODY_MARKER, DERIVED, MARKER, RawTable, Triple, marker_label, triples_of
 
 CHOICES = ('markers', 'rims', 'bodies')
 # [1] of a length, by which measured distances on the arm and on a rim may be off, because a ruler,
 # noise and a bent arm are no more exact
 DISTANCE_TOLERANCE = 0.05
 NAMELESS = {'unlabeled', 'unlabelled', 'unidentified', 'ghost'}
-# words in the name of a column that says whether a marker was visible, then in its cells
-VISIBLE = {'visible', 'visibility', 'seen', 'valid', 'tracked', 'detected'}  # 0: hidden
-HIDDEN = {'occluded', 'occlusion', 'hidden', 'missing', 'lost', 'invalid'}  # 0: visible
-STATE = {'state', 'status'}  # in words
-YES, NO = {'1', 'true', 'yes', 'y', 't'}, {'0', 'false', 'no', 'n', 'f'}
-LOST = HIDDEN | {'disabled', 'unseen', 'untracked', 'out', 'not', 'bad', 'none', 'unknown'}
 
 
 @dataclass(frozen=True)
@@ -202,76 +180,6 @@ def circle_centres(points: Floats) -> Floats:
     return centres
 
 
-def kind_of_flag(name: ColumnName) -> set[str] | None:
-    """Return the set of words that the name matches: `VISIBLE`, `HIDDEN` or `STATE`; else None."""
-    return next((kind for kind in (VISIBLE, HIDDEN, STATE) if kind & set(name.words)), None)
-
-
-def flag_columns(
-    table: RawTable, markers: Sequence[Sequence[str]]
-) -> Iterator[tuple[ColumnName, set[str], list[int]]]:
-    """
-    Find the columns that say whether markers were visible.
-
-    Parameters
-    ----------
-    table : RawTable
-    markers : sequence of columns
-        Of x, y and z of each marker.
-
-    Yields
-    ------
-    name : ColumnName
-    kind : set of str
-        `VISIBLE`, `HIDDEN` or `STATE`.
-    of : list of int
-        Indices of its markers: the one with the same words, or all if it names none.
-
-    """
-    names = names_of(table)
-    used = {column for columns in markers for column in columns}
-    own = {name.column: name for name in names if name.column in used}
-    owners = [_words(own[c[0]].component[2]) if c[0] in own else () for c in markers]
-    for name in names:
-        kind = kind_of_flag(name)
-        if kind is None or name.column in used:
-            continue
-        if kind is STATE and not table.is_text(name.column):
-            continue  # numbers: what they mean only their maker knows
-        owner = _words(word for word in name.words if word not in kind)
-        of = [j for j, words in enumerate(owners) if words == owner]
-        if of or not owner:
-            yield name, kind, of or list(range(len(markers)))
-
-
-def not_visible(table: RawTable, markers: Sequence[Sequence[str]]) -> dict[str, Bools]:
-    """Return masks (R, J) of the readings that a column marks as hidden, by reason."""
-    masks = {}
-    for name, kind, of in flag_columns(table, markers):
-        index, cells = pandas().factorize(table.columns[name.column], use_na_sentinel=False)
-        hidden = np.array([_is_hidden(str(cell), kind) for cell in cells])[index]
-        if hidden.any() and not hidden.all():
-            mask = np.zeros((len(table), len(markers)), dtype=bool)
-            mask[:, of] = hidden[:, None]
-            masks[f'the column {name.column} says so'] = mask
-    return masks
-
-
-def _words(words: Iterable[str]) -> tuple[str, ...]:
-    return tuple(word for word in words if word not in FILLERS)
-
-
-def _is_hidden(text: str, kind: set[str]) -> bool:
-    words = set(text.lower().replace('_', ' ').split())
-    if text in MISSING:
-        return False
-    if is_number(text):
-        return kind is not STATE and (float(text) == 0.0) == (kind is VISIBLE)
-    if words & LOST:
-        return True
-    return bool(words & NO) if kind is VISIBLE else kind is HIDDEN and bool(words & YES)
-
-
 AS_GIVEN = 'places as given'
 # [1] of a cell's length, by which markers at the ends of cells may miss them, because it is less
 # than half of the distance to the next one
@@ -291,7 +199,7 @@ class MarkerOrder:
 
 
 def order_markers(
-    positions: Floats, robot: Robot, given: Sequence[float | None] = (), name: str = 'markers'
+    positions: Floats, robot: Robot, given: Sequence[float] = (), name: str = 'markers'
 ) -> MarkerOrder:
     """
     Order markers by their place along the arm where it is straightest.
@@ -321,15 +229,14 @@ def order_markers(
     same = 2.0 * TRACKER_NOISE_M  # [m] never farther apart: one marker that was exported twice
     twice = tuple(j for j in visible if any(0.0 <= apart[i, j] < same for i in visible if i < j))
     members = [j for j in visible if j not in twice]
-    known = tuple(value for value in given if value is not None)
     if len(members) == 1:
         if len(visible) > 2:  # two may be one, exported twice
             raise _no_arm(name, float(apart.max()), robot)
-        if len(known) > 1:
-            problem = f'has one marker, but {len(known)} places are given'
+        if len(given) > 1:
+            problem = f'has one marker, but {len(given)} places are given'
             raise DataSetError(name, problem, 'give one of them')
-        only = known or (robot.length,)
-        return MarkerOrder((members[0],), only, 'the only marker', (), twice, unseen)
+        place = given[0] if given else robot.length
+        return MarkerOrder((members[0],), (place,), 'the only marker', (), twice, unseen)
     inner = apart[np.ix_(members, members)]
     if (inner < 0.0).any():
         alone = 'some markers are never seen together while the arm stands still'
@@ -342,19 +249,19 @@ def order_markers(
     below_tip = robot.length - _lengths_to_tip(positions[:, members], apart, members)
     cell = min(section.cell_length for section in robot.sections)
     if given:
-        off = members[: max(len(members) - len(known), 0)]
-        if len(known) > len(members) or any(below_tip[: len(off)] > cell):
-            problem = f'has {len(members)} markers, but {len(known)} places on the arm are given'
+        off = members[: max(len(members) - len(given), 0)]
+        if len(given) > len(members) or any(below_tip[: len(off)] > cell):
+            problem = f'has {len(members)} markers, but {len(given)} places on the arm are given'
             raise DataSetError(name, problem, 'give one arc length for each, from base to tip')
         kept = tuple(members[len(off) :])
-        far, span = apart[kept[0], kept[-1]], known[-1] - known[0]
+        far, span = apart[kept[0], kept[-1]], given[-1] - given[0]
         if abs(far - span) > max(cell, 2.0 * DISTANCE_TOLERANCE * span):
             seen = f'{1e3 * far:.4g} mm apart where the arm is straightest'
             told = f'{1e3 * span:.4g} mm by the places that are given'
             problem = f'the first and the last marker are {seen}, but {told}'
             remedy = 'give the distance of every marker from the base along the arm, in mm'
             raise DataSetError(name, problem, remedy)
-        return MarkerOrder(kept, known, AS_GIVEN, tuple(off), twice, unseen)
+        return MarkerOrder(kept, tuple(given), AS_GIVEN, tuple(off), twice, unseen)
     on_arm = below_tip > -0.5 * cell
     kept = tuple(j for j, one in zip(members, on_arm, strict=True) if one)
     if len(kept) < 2:
@@ -404,13 +311,11 @@ def _distances(positions: Floats) -> Floats:
     """
     chords = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
     known = np.isfinite(chords)
-    longest: Floats = np.where(known, chords, -1.0).max(axis=0)
+    longest = np.where(known, chords, -1.0).max(axis=0)
     whole = np.where(known.all(axis=(1, 2)), np.nan_to_num(chords).max(axis=(1, 2)), -1.0)
-    best = int(whole.argmax())
-    if whole[best] >= longest.max() - 2.0 * TRACKER_NOISE_M:  # maxima over many collect noise
-        straightest: Floats = chords[best]
-        return straightest
-    return longest
+    best = int(whole.argmax())  # preferred, because maxima over many postures collect noise
+    is_straightest = whole[best] >= longest.max() - 2.0 * TRACKER_NOISE_M
+    return np.asarray(chords[best] if is_straightest else longest)
 
 
 def _lengths_to_tip(positions: Floats, apart: Floats, members: Sequence[int]) -> Floats:

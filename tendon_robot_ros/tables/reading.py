@@ -28,12 +28,12 @@ from .columns import (
     RawTable,
     guess_time,
     is_number,
+    kind_of_flag,
     names_of,
     table_of,
     triples_of,
 )
 from .headers import Head, first_row_of_data, maker_of, unnamed
-from .markers import kind_of_flag
 
 # endings -> system that writes them, and the format to export instead
 MAKERS_OWN = {
@@ -269,8 +269,7 @@ def _frames(table: RawTable, head: Head) -> tuple[Floats, str]:
             remedy = 'export it again, with the columns of frames and times'
             raise DataSetError(table.name, problem, remedy)
         note += f', every {every}th of {head.frames:,} frames' if every > 1 else ''
-    count: Floats = np.arange(len(table), dtype=float)
-    return every * count, note
+    return every * np.arange(len(table), dtype=float), note
 
 
 def _count_rows(shown: str, raw: bytes, part: TextPart, delimiter: str) -> int | None:

@@ -253,8 +253,8 @@ class Recipe:
         new = _checked(RecipeFields(OPTIONS, '', dict(keys)))
         values = {name: getattr(new, name) for name in keys}
         for name in {'spool', 'still'} & keys.keys():
-            said = [one for one in keys[name] if keys[name][one] is not None]
-            own = {one: getattr(values[name], one) for one in said}
+            told = (one for one, value in keys[name].items() if value is not None)
+            own = {one: getattr(values[name], one) for one in told}
             values[name] = replace(getattr(self, name), **own)
         if 'inputs' in keys:
             values['inputs'] = {**(self.inputs or {}), **values['inputs']}

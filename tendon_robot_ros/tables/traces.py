@@ -17,8 +17,8 @@ from ..data.bag_reader import Recording, Track
 from ..data.tracker_faults import exchange_lines, joined, put_back, renumbered, without_unseen
 from ..inference.statistics import minimum
 from ..robot.estimates import TRACKER_NOISE_M
-from .columns import ROWS_MAX, UNUSUAL_FACTOR, RawTable, marker_label
-from .markers import circle_centres, not_visible
+from .columns import ROWS_MAX, UNUSUAL_FACTOR, RawTable, marker_label, not_visible
+from .markers import circle_centres
 from .recipe import MarkerColumns, Recipe, Selection, WireSpool, time_column
 
 # [1] of the best match, above which another delay leaves it open, because noise changes both
@@ -399,5 +399,4 @@ def _times(table: RawTable, recipe: Recipe) -> Floats:
             raise DataSetError(table.where(row), problem, 'one file per recording: split it there')
         cell = short(written[row]) if table.is_text(column) and written[row] else 'empty'
         raise DataSetError(table.where(row), f'{column} is {cell}', 'every row needs its time')
-    started: Floats = times - times[0]
-    return started
+    return np.asarray(times - times[0])
