@@ -16,19 +16,19 @@ from ..common.words import listed, listing, mm
 from ..data import DataSet, Marker
 from ..data.still_segments import Segment, frame_noise, rows_of, segments_dataset
 from ..data.visits import split_by_order
-from ..effects import Catalogue, CatalogueLike, load_catalogue
+from ..effects import CatalogueLike, load_catalogue
 from ..inference.crossval import predict
 from ..inference.noise import input_effect, input_slopes
-from ..inference.predict import Predictor, slope
+from ..inference.predict import Predictor
 from ..robot import RobotLike, load_robot
 from ..robot.estimates import TRACKER_NOISE_M
 from .columns import RawTable, flag_columns, marker_label, table_of
 from .imported import ImportedTable
-from .markers import AS_GIVEN, MarkerOrder, order_markers, places_contradicted
+from .markers import AS_GIVEN, MarkerOrder, order_markers, place_warnings
 from .measuring import FROM_STRAIGHT, SEQUENCE, VISITS, StillMeasurements
 from .reading import read_tables, widened
 from .recipe import FrameChoice, MarkerColumns, Recipe, Selection, Stillness, as_recipe
-from .registration import Placed, rotation_vector, side_offset, up_that_fits
+from .registration import Placed, offset_warnings, rotation_vector, up_that_fits
 from .traces import follow_renumbered, make_traces
 
 
@@ -129,8 +129,8 @@ def import_table(
             *chosen.warnings,
             *_history_warnings(placed, measured, order, predictor),
             *placed.warnings,
-            *_place_warnings(final),
-            *(() if placed.frame_warnings else _offset_warnings(final, predicted, catalogue)),
+            *place_warnings(final),
+            *(() if placed.frame_warnings else offset_warnings(final, predicted, catalogue)),
         ),
     )
 
@@ -246,43 +246,6 @@ def _history_warnings(
     shift = input_effect(dataset, input_slopes(predictor, {})) @ placed.frame.rotation
     places = places - shift[rows_of(segments, dataset.postures, dataset.trial_names)]
     return [*lines, *path_dependence(segments, measured.begins, places)]
-
-
-def _place_warnings(dataset: DataSet) -> list[str]:
-    """Return contradictions between marker motion and the assumed arc lengths."""
-    first = dataset.markers[0]
-    places = dataset.mean[:, 0]
-    lines = places_contradicted(dataset)
-    if first.arc_length > 0.5 * dataset.robot.sections[0].cell_length or len(places) < 2:
-        return lines
-    moved = float(np.nanmax(np.linalg.norm(places - np.nanmedian(places, axis=0), axis=1)))
-    if not moved > 4.0 * TRACKER_NOISE_M:
-        return lines
-    return [
-        *lines,
-        f'marker {first.name} moves by {mm(moved)}, and would sit at the base: is the arm longer '
-        f'than its {mm(dataset.robot.length)}? Check cells and cell_length of the robot, or say '
-        'where markers sit (--markers)',
-    ]
-
-
-def _offset_warnings(dataset: DataSet, predicted: Floats, catalogue: Catalogue) -> list[str]:
-    """Return a line if markers seem to sit beside the backbone although no offset is given."""
-    if np.any(dataset.offsets):
-        return []
-    moved = []
-    for step in ((TRACKER_NOISE_M, 0.0, 0.0), (0.0, TRACKER_NOISE_M, 0.0)):
-        markers = tuple(replace(marker, offset=step) for marker in dataset.markers)
-        aside = Predictor(replace(dataset, markers=markers), dataset.robot, catalogue)
-        moved.append(slope(predicted, aside.markers({}), TRACKER_NOISE_M))
-    offset = side_offset(dataset, predicted, (moved[0], moved[1]))
-    if offset is None:
-        return []
-    x, y = 1e3 * offset[0], 1e3 * offset[1]
-    return [
-        f'markers seem to sit beside the backbone, {x:.1f} mm towards x and {y:.1f} mm towards y: '
-        f'if they do, say --offset {x:.1f},{y:.1f}'
-    ]
 
 
 def path_dependence(

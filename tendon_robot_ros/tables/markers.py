@@ -278,12 +278,13 @@ def _no_arm(name: str, far: float, robot: Robot) -> DataSetError:
     return DataSetError(name, f'markers are up to {1e3 * far:.4g} mm apart, {long}', remedy)
 
 
-def places_contradicted(dataset: DataSet) -> list[str]:
+def place_warnings(dataset: DataSet) -> list[str]:
     """
-    Say that two markers are farther apart than the arm between them is long.
+    Return contradictions between how markers move and where on the arm they are taken to be.
 
     Places that an import.yaml of another recording gives are those of other markers then.
     """
+    robot, lines = dataset.robot, []
     positions, arc_lengths = dataset.mean, dataset.arc_lengths
     chords = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
     apart = np.where(np.isfinite(chords), chords, 0.0).max(axis=0)
@@ -291,15 +292,23 @@ def places_contradicted(dataset: DataSet) -> list[str]:
     between = np.abs(arc_lengths[:, None] - arc_lengths) + beside[:, None] + beside
     over = apart - between
     i, j = sorted(np.unravel_index(int(over.argmax()), over.shape))
-    robot = dataset.robot
-    if over[i, j] < max(DISTANCE_TOLERANCE * robot.length, robot.sections[-1].cell_length):
-        return []
-    first, second = (dataset.markers[k].name for k in (i, j))
-    return [
-        f'markers {first} and {second} are up to {mm(float(apart[i, j]))} apart, with '
-        f'{mm(float(between[i, j]))} of the arm between them: they sit in another order, or '
-        'elsewhere (take markers out of import.yaml to have them ordered, or say --markers)'
-    ]
+    if over[i, j] >= max(DISTANCE_TOLERANCE * robot.length, robot.sections[-1].cell_length):
+        first, second = (dataset.markers[k].name for k in (i, j))
+        lines.append(
+            f'markers {first} and {second} are up to {mm(float(apart[i, j]))} apart, with '
+            f'{mm(float(between[i, j]))} of the arm between them: they sit in another order, or '
+            'elsewhere (take markers out of import.yaml to have them ordered, or say --markers)'
+        )
+    if arc_lengths[0] > 0.5 * robot.sections[0].cell_length:
+        return lines
+    off = np.linalg.norm(positions[:, 0] - np.nanmedian(positions[:, 0], axis=0), axis=1)
+    if (moved := float(np.nanmax(off))) > 4.0 * TRACKER_NOISE_M:
+        lines.append(
+            f'marker {dataset.markers[0].name} moves by {mm(moved)}, and would sit at the base: '
+            f'is the arm longer than its {mm(robot.length)}? Check cells and cell_length of the '
+            'robot, or say where markers sit (--markers)'
+        )
+    return lines
 
 
 def _distances(positions: Floats) -> Floats:

@@ -17,7 +17,7 @@ from ..data import DataSet
 from ..data.arrays import Vector
 from ..effects import Catalogue
 from ..inference.outliers import find_outliers
-from ..inference.predict import Predictor
+from ..inference.predict import Predictor, slope
 from ..inference.statistics import rms
 from ..robot.estimates import BY_EYE_RAD, MODEL_ERROR_MAX, NOISE_FACTOR, TRACKER_NOISE_M
 from .columns import UPS
@@ -190,14 +190,12 @@ def _weights(squares: Floats, visible: Bools, arc_lengths: Floats) -> Floats:
     return np.asarray(1.0 / (TRACKER_NOISE_M**2 + growth * arc_lengths**3))
 
 
-def side_offset(
-    dataset: DataSet, predicted: Floats, sideways: tuple[Floats, Floats]
-) -> Vector | None:
+def offset_warnings(dataset: DataSet, predicted: Floats, catalogue: Catalogue) -> list[str]:
     """
-    Return the offset [m] at which all markers seem to sit beside the backbone, None for none.
+    Return a line if all markers seem to sit beside the backbone although no offset is given.
 
-    Fitted together with a shift and a small rotation of the frame. A load that the model lacks
-    hides it: the result is then None.
+    The offset is fitted together with a shift and a small rotation of the frame. A load that the
+    model lacks hides it: there is no line then.
 
     Parameters
     ----------
@@ -205,27 +203,37 @@ def side_offset(
         In the base frame.
     predicted : (P, J, 3) [m]
         The same markers by the model.
-    sideways : two of (P, J, 3)
-        Derivatives [m/m] of the markers by an offset along x and along y.
+    catalogue : Catalogue
 
     """
+    if np.any(dataset.offsets):
+        return []
+    columns = []  # derivatives by the offset towards x and y, then by the frame
+    for step in ((TRACKER_NOISE_M, 0.0, 0.0), (0.0, TRACKER_NOISE_M, 0.0)):
+        markers = tuple(replace(marker, offset=step) for marker in dataset.markers)
+        aside = Predictor(replace(dataset, markers=markers), dataset.robot, catalogue)
+        columns.append(slope(predicted, aside.markers({}), TRACKER_NOISE_M))
+    columns += [np.broadcast_to(axis, predicted.shape) for axis in np.eye(3)]
+    columns += [np.cross(axis, predicted) for axis in np.eye(3)]
     off = dataset.mean - predicted
     visible = np.isfinite(off).all(axis=2)
     squares = np.where(visible, (off**2).sum(axis=2), 0.0)
     weight = np.sqrt(_weights(squares, visible, dataset.arc_lengths))
     scale = np.broadcast_to(weight[None, :, None], off.shape)[visible].ravel()
-    frame = [np.broadcast_to(axis, off.shape) for axis in np.eye(3)]
-    frame += [np.cross(axis, predicted) for axis in np.eye(3)]
-    columns = np.array([column[visible].ravel() * scale for column in (*sideways, *frame)]).T
+    system = np.array([column[visible].ravel() * scale for column in columns]).T
     values = off[visible].ravel() * scale
-    estimate, without = (np.linalg.lstsq(a, values)[0] for a in (columns, columns[:, 2:]))
-    residual, residual_before = values - columns @ estimate, values - columns[:, 2:] @ without
+    estimate, without = (np.linalg.lstsq(a, values)[0] for a in (system, system[:, 2:]))
+    residual, residual_before = values - system @ estimate, values - system[:, 2:] @ without
     x, y = estimate[:2].tolist()
     # beyond the length it is another shift: of an arm that does not bend nothing tells them apart
     beside = NOISE_FACTOR * TRACKER_NOISE_M <= np.hypot(x, y) < dataset.robot.length
     if not beside or residual @ residual > OFFSET_GAIN**2 * (residual_before @ residual_before):
-        return None
-    return round(x, 4), round(y, 4), 0.0
+        return []
+    x, y = 1e3 * round(x, 4), 1e3 * round(y, 4)
+    return [
+        f'markers seem to sit beside the backbone, {x:.1f} mm towards x and {y:.1f} mm towards y: '
+        f'if they do, say --offset {x:.1f},{y:.1f}'
+    ]
 
 
 def _free_residual(measured: Floats, markers: Floats) -> float:
