@@ -174,10 +174,6 @@ class PathRun:
     pull: bool
     target_values: Floats | None = None
 
-    def commanded_at(self, times: Floats) -> Floats:
-        """Return commands (n, m) at times (n,) [s]."""
-        return interpolated(times, self.command_times, self.commands)
-
     def errors(self, times: Floats) -> tuple[Floats, Floats]:
         """Return distances (n,) [m] and angles (n,) [rad] between tip and target at times."""
         targets, views = self.targets.at(times)

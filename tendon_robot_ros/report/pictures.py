@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..common.arrays import Floats, evenly
+from ..common.arrays import Floats, evenly, interpolated
 from ..common.colours import COLOURS, ERROR, FLOOR, INK, MEASURED, PREDICTED
 from ..common.errors import NoEquilibriumError
 from ..common.files import new_file
@@ -175,7 +175,7 @@ def tendon_rows(run: PathRun) -> list[list[str]]:
     assert run.target_values is not None
     scale, unit = (1e3, 'mm') if run.pull else (1.0, 'N')
     reached, _ = run.tips.at(run.row_times)
-    commanded = run.commanded_at(run.row_times)
+    commanded = interpolated(run.row_times, run.command_times, run.commands)
     rows = [['row', 'time [s]', f'asked [{unit}]', f'commanded [{unit}]', 'tip [mm]']]
     for i, time in enumerate(run.row_times):
         goals, sent = (

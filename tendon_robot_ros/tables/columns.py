@@ -73,15 +73,11 @@ class RawTable:
         """Return whether a column holds something else than numbers."""
         return bool(self.columns[column].dtype == object)
 
-    def places(self, points: Sequence[Sequence[str]], step: int = 1) -> Floats:
-        """Return the places (R / step, K, 3) in columns of x, y and z, of every so many rows."""
+    def places(self, points: Sequence[Sequence[str]], some: bool = False) -> Floats:
+        """Return the places (R, K, 3) in columns of x, y and z; of `some` rows where many."""
+        step = max(len(self) // ROWS_MAX, 1) if some else 1
         rows = [[self.numbers(column)[::step] for column in point] for point in points]
         return np.array(rows).transpose(2, 0, 1)
-
-    @property
-    def step(self) -> int:
-        """Steps from row to row of at most twice `ROWS_MAX` rows of all."""
-        return max(len(self) // ROWS_MAX, 1)
 
     def where(self, row: int) -> str:
         """Name a row for a message, counted as an editor does."""
@@ -275,7 +271,7 @@ class Triple:
 
     def places(self) -> Floats:
         """Return some of its places (R, 3), NaN where it was not seen."""
-        places = self.table.places([self.columns], self.table.step)[:, 0]
+        places = self.table.places([self.columns], some=True)[:, 0]
         places[(places == 0.0).all(axis=1)] = np.nan
         return places
 

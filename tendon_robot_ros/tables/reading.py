@@ -429,13 +429,11 @@ def widened(table: RawTable) -> RawTable:
 
 def _whose(table: RawTable, time: str) -> str | None:
     """Return the column that names the marker of each row, None if there is none."""
-    coordinates = {column for triple in triples_of(table) for column in triple.columns}
+    others = {time, *(column for triple in triples_of(table) for column in triple.columns)}
     stamps = _numbered(table, time)
     best, many = None, 1
     for name in names_of(table):
-        if not WHOSE & set(name.words) or name.column in coordinates or name.column == time:
-            continue
-        if kind_of_flag(name) is not None:
+        if not WHOSE & set(name.words) or name.column in others or kind_of_flag(name):
             continue
         values = _numbered(table, name.column)
         if not np.isfinite(values).all() or np.any(values != np.round(values)):

@@ -23,11 +23,11 @@ from ..data.dataset import PATHS
 from ..data.folder import DatasetFields, read_text
 from ..data.tracker_faults import without_unseen
 from ..robot import Robot
-from .columns import FRAMES, UPS, RawTable, guess_inputs, guess_time, names_of, triples_of
+from .columns import FRAMES, KINDS, UPS, RawTable, guess_inputs, guess_time, names_of, triples_of
 from .markers import CHOICES, Points, choose_points
 
 METHODS = ('model', 'level', 'straight', 'base')
-INPUT_KINDS = ('force', 'length', 'angle', 'counts', 'current')
+INPUT_KINDS = tuple(KINDS)
 HEAD = """\
 # How the tables named under sources became the data set beside this file. SI units but for the
 # units of columns. Change a line, or take one out to have it guessed again, and run
@@ -565,7 +565,7 @@ def _extent(tables: Sequence[RawTable], recipe: Recipe) -> float:
         markers = [m.columns[:3] for m in recipe.markers or () if table.holds(*m.columns)]
         if not markers:
             continue
-        places = without_unseen(SMALLEST * table.places(markers, table.step), None)[0] / SMALLEST
+        places = without_unseen(SMALLEST * table.places(markers, some=True), None)[0] / SMALLEST
         if len(markers) == 1:
             low, high = np.nanpercentile(places[:, 0], [2, 98], axis=0)
             return float((high - low).max())

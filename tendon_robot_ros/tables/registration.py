@@ -291,6 +291,8 @@ class Placed:
     frame : TrackerFrame
     left_out : tuple of (posture, trial)
         Contradicted by the other trials.
+    dropped : list of str
+        The same, a line.
     gravity_warnings : tuple of str
         Contradictions about gravity.
 
@@ -310,15 +312,17 @@ class Placed:
             return replace(dataset, positions=positions.round(9)), frame
 
         dataset, self.frame = placed(raw if pairs is None else _without(raw, pairs))
-        self._why = 'left out, as leave_out says'
+        why = 'left out, as leave_out says'
         if pairs is None:
-            self._why = 'the other trials contradict (a slipped tendon?)'
+            why = 'the other trials contradict (a slipped tendon?)'
             outliers = find_outliers(Predictor(dataset, robot, catalogue), {})
             which = np.argwhere(outliers.trials).tolist()
             pairs = tuple((raw.postures[p], raw.trial_names[q]) for p, q in which)
             if pairs:
                 dataset, self.frame = placed(_without(raw, pairs))
         self.left_out = pairs
+        names = [f'posture {posture} trial {trial}' for posture, trial in pairs]
+        self.dropped = [f'{listing(names)}: {why}'] if names else []
         gravity, self.gravity_warnings = _gravity(dataset, self.frame, recipe)
         known = self.frame.tolerances(robot.length)  # so that a diagnosis may move it
         if choice.rotation is not None:  # a frame that is given comes with its tolerances
@@ -356,12 +360,6 @@ class Placed:
     def warnings(self) -> list[str]:
         """Everything that should be checked, a line each."""
         return [*self.gravity_warnings, *self.frame_warnings]
-
-    @property
-    def dropped(self) -> list[str]:
-        """The excluded trials, a line."""
-        names = [f'posture {posture} trial {trial}' for posture, trial in self.left_out]
-        return [f'{listing(names)}: {self._why}'] if names else []
 
 
 def _without(dataset: DataSet, pairs: Sequence[tuple[str, str]]) -> DataSet:

@@ -367,7 +367,7 @@ def _cut_jumps(positions: Floats, times: Floats) -> Floats:
             while before in out:
                 before -= 1
             leap = float(np.linalg.norm(path[frame] - path[before]))
-            if before < 0 or frame in out or leap < leap_min:
+            if frame in out or leap < leap_min:
                 continue
             back = np.linalg.norm(path[frame : frame + frames_max] - path[before], axis=1)
             near = np.flatnonzero(back < 0.25 * leap)
