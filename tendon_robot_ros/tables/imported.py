@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -160,11 +161,9 @@ class ImportedTable(TextResult):
 
     def _pieces(self) -> list[tuple[float, Piece]]:
         """Return the recordings one after the other, with the time [s] at which each begins."""
-        placed, begin = [], 0.0
-        for piece in self.measured.pieces:
-            placed.append((begin, piece))
-            begin += float(piece.recording.tracks[0].times[-1]) * 1.02
-        return placed
+        pieces = self.measured.pieces
+        ends = accumulate(1.02 * float(one.recording.tracks[0].times[-1]) for one in pieces)
+        return list(zip([0.0, *ends], pieces, strict=False))
 
     def _shade(self, axes: Axes) -> None:
         for begin, piece in self._pieces():

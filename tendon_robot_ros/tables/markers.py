@@ -76,19 +76,17 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
         raise DataSetError(tables[0].name, problem, remedy)
     nameless = [t for t in places if t.columns[0].startswith('*') or NAMELESS & set(t.name)]
     named = [t for t in places if t not in nameless]
-    if not named:
-        seen = [t for t in places if np.isfinite(t.places()).all(axis=1).mean() >= 0.5]
-        named = seen or places
+    named = named or [t for t in places if np.isfinite(t.places()).all(axis=1).mean() >= 0.5]
+    named = named or places
     unnamed = [t for t in places if t not in named]
     groups = {kind: [t for t in named if t.kind == kind] for kind in (MARKER, BODY_MARKER, BODY)}
     markers = groups[MARKER] or groups[BODY_MARKER]
     rims = _rims(markers)
     around = {t.columns for rim in rims for t in rim}
     rings = [tuple(c for t in rim for c in t.columns) for rim in rims]
-    single = [t.columns for t in markers if t.columns not in around]
     options: dict[str, list[tuple[str, ...]]] = {
         'markers': [t.columns for t in markers],
-        'rims': [*rings, *single] if rims else [],
+        'rims': [*rings, *(t.columns for t in markers if t.columns not in around)] if rims else [],
         'bodies': [t.columns for t in groups[BODY]],
     }
     mode = choice or ('rims' if rims else 'markers')

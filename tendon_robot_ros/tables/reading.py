@@ -189,11 +189,9 @@ def _read_part(
     """Parse the rows below a head."""
     last = part.head[-1][0] + 1 if part.head else 0
     head = Head(shown, last, [row for _, row in part.head], part.width)
-    decimal = '.'
-    if delimiter != ',' and any(
-        ',' in cell and is_number(cell.replace(',', '.')) for row in part.sample for cell in row
-    ):
-        decimal, notes = ',', (*notes, 'numbers have decimal commas')
+    commas = {c for row in part.sample for c in row if ',' in c} if delimiter != ',' else ()
+    decimal = ',' if any(is_number(cell.replace(',', '.')) for cell in commas) else '.'
+    notes = (*notes, 'numbers have decimal commas') if decimal == ',' else notes
     content = data[part.begin : part.end]
     rows = _count_rows(shown, content, part, delimiter)
     try:
@@ -216,11 +214,9 @@ def _read_part(
     if rows is not None:
         notes = (*notes, f'the last row, {part.line + rows + 1}, is cut short: left out')
     blank = [name for name in frame.columns if name.startswith('column ')]
-    full = [name for name in blank if not frame[name].isna().all()]
-    if full:
+    if frame[blank].notna().any(axis=None):
         raise _bad_row(shown, delimiter, len(head.names) - len(blank), part.line + 1, part.width)
-    frame = frame.drop(columns=blank)
-    table = table_of(shown, frame, head.units, part.line + 1, notes)
+    table = table_of(shown, frame.drop(columns=blank), head.units, part.line + 1, notes)
     return _with_times(replace(table, kinds=head.kinds, part=head.title), head)
 
 
@@ -228,7 +224,7 @@ def _with_times(table: RawTable, head: Head) -> RawTable:
     """Add times to an export that only counts frames, and the defaults of its system."""
     if not head.maker.name:
         return table
-    columns, units = dict(table.columns), dict(table.units)
+    columns, units = table.columns, table.units
     remarks = [f'exported by {head.maker.name}{f", {head.title}" if head.title else ""}']
     known = {n: find_unit(u) for n, u in units.items() if n in head.kinds}
     lengths = {u.text for u in known.values() if u is not None and u.kind == 'length'}
@@ -247,12 +243,10 @@ def _with_times(table: RawTable, head: Head) -> RawTable:
             problem = f'{export} that says neither times nor frames per second'
             raise DataSetError(table.name, problem, remedy)
         columns, unit = {'time': columns[counted], **columns}, FRAMES
-    if 'time' in columns:
-        units['time'] = unit
     up = head.maker.up
     remarks += [remark for remark in (note, up and f'{up} up') if remark]
     notes = (*table.notes, ', '.join(remarks))
-    return replace(table, columns=columns, units=units, up=up, notes=notes)
+    return replace(table, columns=columns, units={**units, 'time': unit}, up=up, notes=notes)
 
 
 def _frames(table: RawTable, head: Head) -> tuple[Floats, str]:

@@ -177,6 +177,7 @@ def _trace(
         problem, remedy = 'no marker was ever seen', 'export the markers again'
         raise DataSetError(marker_table.name, problem, remedy)
     clocks, drift = '', drift or 0.0
+    cut, exchanges = np.zeros((0, 5)), list[tuple[int, int, int]]()
     if not recipe.time:
         if len(input_table) != len(marker_table):
             others = f'{input_table.name} with the inputs {len(input_table):,}'
@@ -209,8 +210,6 @@ def _trace(
         if late.any():  # what the inputs were then, nothing tells
             unseen['the inputs end before'] = np.isfinite(positions[late, :, 0]).sum(axis=0)
             positions[late] = np.nan
-    cut, exchanges = np.zeros((0, 5)), list[tuple[int, int, int]]()
-    if recipe.time:
         cut = _cut_jumps(positions, times)
         positions, exchanges = put_back(positions)
     track = Track(times, positions, np.broadcast_to(np.nan, (*positions.shape[:2], 4)))
