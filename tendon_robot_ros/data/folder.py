@@ -209,8 +209,7 @@ def read_folder(folder: Path, robot: Robot | None = None) -> DataSet:
     refuse_table(folder)
     path = folder / 'dataset.yaml'
     fields = read_fields(read_text(path), str(path))
-    if robot is None:
-        robot = find_robot(fields, folder)
+    robot = robot or find_robot(fields, folder)
     described = describe(fields, robot)
     markers = described['markers'] or default_markers(robot)
     names = tuple(marker.name for marker in markers)

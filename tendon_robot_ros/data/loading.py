@@ -387,7 +387,6 @@ def join(datasets: Sequence[DataSetLike]) -> DataSet:
     }
     turned = [d.orientations for d in sets if d.orientations is not None]
     by_trial = any(dataset.trial_inputs is not None for dataset in sets)
-    inputs_by_trial = [d.inputs_by_trial for d in sets] if by_trial else []
     pairs = zip(names, sets, strict=True)
     return replace(
         first,
@@ -396,7 +395,7 @@ def join(datasets: Sequence[DataSetLike]) -> DataSet:
         inputs=np.concatenate([d.inputs for d in sets]),
         positions=stacked([d.positions for d in sets], len(trials)),
         orientations=stacked(turned, len(trials)) if len(turned) == len(sets) else None,
-        trial_inputs=stacked(inputs_by_trial, len(trials)) if by_trial else None,
+        trial_inputs=stacked([d.inputs_by_trial for d in sets], len(trials)) if by_trial else None,
         trial_names=trials,
         gravity=next((d.gravity for d in sets if d.gravity is not None), None),
         known={},

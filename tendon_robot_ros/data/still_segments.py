@@ -60,18 +60,17 @@ class ArmMotion:
             The recording is too long for so short a window.
 
         """
-        window = rule.duration / 2
-        ends = [track.times[[0, -1]] for track in recording.tracks]
-        start, end = min(e[0] for e in ends), max(e[1] for e in ends)
+        window, half = rule.duration / 2, rule.duration / 4
+        start = min(track.times[0] for track in recording.tracks)
         start = max(start, recording.state_times[0])  # what the inputs were before, nothing tells
+        end = max(track.times[-1] for track in recording.tracks)
         size = sum(track.positions.shape[1] for track in recording.tracks)
         if (end - start) / window * STEPS_PER_WINDOW * size > VALUES_MAX:
             sought = f'{rule.duration:g} s of stillness'
             problem = f'{end - start:.0f} s are too long to look for {sought}'
             remedy = 'ask for a longer duration or import a part of the recording'
             raise DataSetError(recording.name, problem, remedy)
-        times = np.arange(start + window / 2, end - window / 2 + 1e-9, window / STEPS_PER_WINDOW)
-        half = window / 2
+        times = np.arange(start + half, end - half + 1e-9, window / STEPS_PER_WINDOW)
         begin = np.concatenate([times - half, times])
         # (G,) [m/s] of each marker; one by one, because a million frames fill the memory
         speeds = []

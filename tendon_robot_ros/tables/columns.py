@@ -176,10 +176,7 @@ OF_UNITS = {
     **{'counts': 'counts', 'time': 'times'},
 }
 BRACKETED = re.compile(r'^(?P<name>.+?)\s*[\[(]\s*(?P<unit>[^\])]+?)\s*[\])]$')
-COMMANDED = {
-    *('cmd', 'command', 'commanded', 'set', 'setpoint', 'ref', 'target', 'des', 'desired', 'goal'),
-    'soll',
-}
+COMMANDED = QUANTITIES['commanded places'] | {'set', 'ref', 'target'}  # inputs
 # kinds of inputs in order of preference: tension acts on the arm, the others only determine it;
 # then the words by which a column without a unit is one
 KINDS: dict[str, set[str]] = {

@@ -441,9 +441,8 @@ class Selection:
         for column in times:
             self._take_given(column, 'time')
         for table in tables:
-            if time_column(table, times) is not None:
-                continue
-            if (guess := guess_time(names_of(table))) is None:
+            guess = guess_time(names_of(table))
+            if guess is None or time_column(table, times) is not None:
                 continue
             column = guess.column
             self.reasons[column] = 'its name'
