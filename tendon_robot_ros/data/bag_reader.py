@@ -84,23 +84,19 @@ def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
     """
     topics, bag = topics or Topics(), str(path)
     received: dict[str, list[tuple[int, Any]]] = {}
-    start, frames = 0, set[str]()
+    start = 0
     with opened(path) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
         roles = _roles(bag, types, topics)
-        for connection, time, data in stored(reader, roles):
-            role, kind = roles[connection.topic], connection.msgtype
-            start = start or time
-            message: Any = data if kind == POSE_ARRAY else reader.deserialize(data, kind)
-            if parse := {POSE_ARRAY: parse_pose_array, POSE_STAMPED: poses_of}.get(kind):
-                frame, message = parse(message)
-                frames.add(frame)
+        for topic, time, message in stored(reader, roles):
+            role, start = roles[topic], start or time
             if role != 'states' or topics.sender in message.header.frame_id:
                 received.setdefault(role, []).append((time, message))
+    shapes = [f'marker {name}' for name in topics.markers] or ['shape']
+    frames = {frame for role in shapes for _, (frame, _) in received.get(role, ())}
     if len(frames) > 1:
         problem = f'shapes are given in the frames {listing(sorted(map(repr, frames)))}'
         raise DataSetError(bag, problem, 'record all markers in the frame of the base')
-    shapes = [f'marker {name}' for name in topics.markers] or ['shape']
     silent = shapes == ['shape'] and 'shape' not in received and other_sources(types)
     if silent or not set(shapes) <= set(roles.values()):
         shapes = []  # `with_markers` reads them from other topics
@@ -215,20 +211,23 @@ def other_sources(types: Mapping[str, str]) -> list[str]:
     return sorted(t for t, kind in types.items() if kind in (TF, POSE_STAMPED))
 
 
-def stored(reader: Any, topics: Iterable[str]) -> Iterator[tuple[Any, int, bytes]]:
-    """Yield connection, time [ns] and bytes of the messages of topics; of no topic, none."""
+def stored(reader: Any, topics: Iterable[str]) -> Iterator[tuple[str, int, Any]]:
+    """Yield topic, time [ns] and message of topics; for poses their frame and numbers (J, 7)."""
     selected = set(topics)
     connections = [c for c in reader.connections if c.topic in selected]
-    if connections:  # without any, all messages would come
-        yield from reader.messages(connections=connections)
+    # without any connection, all messages would come
+    for connection, time, data in reader.messages(connections) if connections else ():
+        kind = connection.msgtype
+        message = parse_pose_array(data) if kind == POSE_ARRAY else reader.deserialize(data, kind)
+        yield connection.topic, time, poses_of(message) if kind == POSE_STAMPED else message
 
 
-def _track(bag: str, times: Floats, samples: Sequence[tuple[int, Floats]]) -> Track:
-    counts = {len(poses) for _, poses in samples}
+def _track(bag: str, times: Floats, samples: Sequence[tuple[int, tuple[str, Floats]]]) -> Track:
+    counts = {len(poses) for _, (_, poses) in samples}
     if len(counts) > 1:
         problem = f'the shape has {min(counts)} poses in one message and {max(counts)} in another'
         raise DataSetError(bag, problem, 'publish every marker always, NaN where it is not seen')
-    values = np.stack([poses for _, poses in samples])
+    values = np.stack([poses for _, (_, poses) in samples])
     values[~np.isfinite(values[..., :3]).all(axis=-1)] = np.nan
     return Track(times, values[..., :3], _sane(values[..., 3:]))
 
@@ -306,8 +305,8 @@ class Transforms:
         samples: dict[tuple[str, str], list[list[float]]] = {}
         with opened(recording.name) as reader:
             topics = [c.topic for c in reader.connections if c.msgtype == TF]
-            for connection, time, data in stored(reader, topics):
-                for one in reader.deserialize(data, connection.msgtype).transforms:
+            for _, time, message in stored(reader, topics):
+                for one in message.transforms:
                     p, q = one.transform.translation, one.transform.rotation
                     pair = one.header.frame_id.lstrip('/'), one.child_frame_id.lstrip('/')
                     row = [1e-9 * (time - recording.start), p.x, p.y, p.z, q.x, q.y, q.z, q.w]

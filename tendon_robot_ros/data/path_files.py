@@ -12,7 +12,7 @@ import numpy as np
 from ..common.arrays import Floats, interpolated
 from ..common.errors import DataSetError
 from ..common.rotations import angle_between, from_quaternion
-from .bag_reader import POSE_STAMPED, joints_of, opened, poses_of, stored, topic_of
+from .bag_reader import POSE_STAMPED, joints_of, opened, stored, topic_of
 from .bag_writer import JOINT_STATE
 from .csv_file import CsvFile, csv_text
 
@@ -225,9 +225,8 @@ def read_moves(path: str | Path) -> tuple[PathRun, Places]:
         kinds = [*TARGETS, TRAJECTORY, *poses, (COMMAND, JOINT_STATE)]
         topics = ((topic_of(types, name, kind), name) for name, kind in kinds)
         roles = {topic: name for topic, name in topics if topic is not None}
-        for connection, time, data in stored(reader, roles):
-            message = reader.deserialize(data, connection.msgtype)
-            received.setdefault(roles[connection.topic], []).append((1e-9 * time, message))
+        for topic, time, message in stored(reader, roles):
+            received.setdefault(roles[topic], []).append((1e-9 * time, message))
         start = 1e-9 * reader.start_time
     if not any(received.get(name) for name in ('target_pose', 'target_point', COMMAND)):
         problem = 'holds neither target_pose, target_point nor tendon_command'
@@ -287,5 +286,5 @@ def _place(stamped: tuple[float, Any]) -> tuple[float, Floats, Floats]:
     if hasattr(message, 'point'):
         p = message.point
         return time, np.array([p.x, p.y, p.z]), np.full(3, np.nan)
-    pose = poses_of(message)[1][0]
+    _, (pose,) = message
     return time, pose[:3], from_quaternion(pose[3:])[:, 2]
