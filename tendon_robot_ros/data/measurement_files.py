@@ -111,12 +111,10 @@ def check_drums(file: CsvFile, robot: Robot) -> None:
 
 def wound(file: CsvFile, robot: Robot) -> Floats:
     """Return the values of the inputs (R, m); a drum winds each of its wires."""
-    columns = dict(file.numbers)
-    for drum, wires in robot.drums.items():
-        if drum in columns:
-            remedy = 'a drum is never slack: write its pull'
-            file.refuse(np.isnan(columns[drum]), f'{drum} is empty', remedy)
-            columns |= {wire: winding * columns[drum] for wire, winding in wires.items()}
+    for drum in robot.drums:
+        empty = np.isnan(file.numbers.get(drum, np.zeros(1)))
+        file.refuse(empty, f'{drum} is empty', 'a drum is never slack: write its pull')
+    columns = robot.wound(file.numbers)
     return np.stack([columns[name] for name in robot.inputs], axis=1)
 
 

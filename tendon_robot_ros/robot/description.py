@@ -119,9 +119,9 @@ class Robot(TextResult):
                 drums.setdefault(tendon.drum, {})[tendon.name] = tendon.winding
         return drums
 
-    def wound(self, pulls: Mapping[str, float]) -> dict[str, float]:
+    def wound(self, pulls: Mapping[str, Any]) -> dict[str, Any]:
         """Return wire pulls [m] by input, those of a drum on each of its wires."""
-        wires: dict[str, float] = {}
+        wires: dict[str, Any] = {}
         for name, pull in pulls.items():
             own = self.drums.get(name, {name: 1})
             wires |= {wire: winding * pull for wire, winding in own.items()}
