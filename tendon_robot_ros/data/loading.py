@@ -22,7 +22,7 @@ from ..robot import Robot, RobotLike, load_robot, parse_robot
 from .arrays import PLAUSIBLE_FACTOR, Marker, default_markers, too_tense
 from .bag_reader import Recording, Topics, is_bag, read_bag, refuse_two_senders, with_markers
 from .bag_writer import DESCRIPTION, ROBOT
-from .dataset import EXPECTED, DataSet, HasDataSet, Part, as_dataset
+from .dataset import EXPECTED, LIMITS, DataSet, HasDataSet, Part, as_dataset
 from .folder import describe, read_fields, read_folder
 from .still_segments import ArmMotion, Rule, Segment, find_segments, never_still, segments_dataset
 from .tracker_faults import undo_exchanges, undo_renumbering, without_unseen_readings
@@ -339,7 +339,6 @@ def load_dataset(data: DataSetLike, robot: RobotLike | None = None) -> DataSet:
 
 
 ALIKE = ('markers', 'input', 'path', 'input_names')  # what data sets must have in common
-NOISES = ('position_noise', 'setting_noise', 'trial_noise', 'accuracy')
 
 
 def join(datasets: Sequence[DataSetLike]) -> DataSet:
@@ -383,7 +382,7 @@ def join(datasets: Sequence[DataSetLike]) -> DataSet:
     visits = [dataset.visits for dataset in sets if dataset.visits is not None]
     noises: dict[str, Any] = {
         key: max((n for d in sets if (n := getattr(d, key)) is not None), default=None)
-        for key in NOISES
+        for key in LIMITS
     }
     turned = [d.orientations for d in sets if d.orientations is not None]
     by_trial = any(dataset.trial_inputs is not None for dataset in sets)

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_origin, get_type_hints
+from typing import Annotated, Any, get_origin, get_type_hints
 
 import numpy as np
 
@@ -35,7 +35,6 @@ HEAD = """\
 """
 OPTIONS = 'options'  # source of a recipe that options make
 OPTION_OF = {'places': 'markers', 'radius': 'spool'}  # key -> option, where another word
-Part = TypeVar('Part')
 Read = Callable[['RecipeFields', str], Any]
 
 
@@ -49,7 +48,7 @@ class RecipeFields(DatasetFields):
         option = OPTION_OF.get(key, key).replace('_', '-')
         return DataSetError(f'--{option}', f'got {short(got)}', f'expected {expected}')
 
-    def read(self, kind: type[Part]) -> Part:
+    def read[Part](self, kind: type[Part]) -> Part:
         """Read a dataclass by the annotations of its fields; a missing key is the default."""
         hints = get_type_hints(kind, include_extras=True)
         read_by = {n: hint for n, hint in hints.items() if get_origin(hint) is Annotated}
