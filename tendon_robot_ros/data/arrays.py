@@ -132,8 +132,8 @@ def read_frame(
         raise DataSetError(name, 'has no row', HINT)
     postures, posture = _codes(frame['posture'])
     markers, marker = _codes(frame['marker'])
-    one_each = ('0',), np.zeros(len(frame), dtype=np.int64)
-    trials, trial = _codes(frame['trial']) if 'trial' in frame.columns else one_each
+    only = ('0',), np.zeros(len(frame), dtype=np.int64)  # trial
+    trials, trial = _codes(frame['trial']) if 'trial' in frame.columns else only
     sizes = len(postures), len(trials), len(markers)
     rows = np.ravel_multi_index((posture, trial, marker), sizes)
     values, counts = np.unique(rows, return_counts=True)

@@ -111,9 +111,9 @@ def check_drums(file: CsvFile, robot: Robot) -> None:
 
 def wound(file: CsvFile, robot: Robot) -> Floats:
     """Return the values of the inputs (R, m); a drum winds each of its wires."""
-    for drum in robot.drums:
-        empty = np.isnan(file.numbers.get(drum, np.zeros(1)))
-        file.refuse(empty, f'{drum} is empty', 'a drum is never slack: write its pull')
+    for drum in (name for name in robot.drums if name in file.numbers):
+        remedy = 'a drum is never slack: write its pull'
+        file.refuse(np.isnan(file.numbers[drum]), f'{drum} is empty', remedy)
     columns = robot.wound(file.numbers)
     return np.stack([columns[name] for name in robot.inputs], axis=1)
 

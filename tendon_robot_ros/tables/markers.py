@@ -76,6 +76,7 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
         raise DataSetError(tables[0].name, problem, remedy)
     nameless = [t for t in places if t.columns[0].startswith('*') or NAMELESS & set(t.name)]
     named = [t for t in places if t not in nameless]
+    # where none has a name, those that were seen for most of the time
     named = named or [t for t in places if np.isfinite(t.places()).all(axis=1).mean() >= 0.5]
     named = named or places
     unnamed = [t for t in places if t not in named]

@@ -259,9 +259,8 @@ def _straight(markers: Floats, dataset: DataSet) -> tuple[Floats, Floats]:
     points = measured[use]
     arc = np.broadcast_to(dataset.arc_lengths, visible.shape)[use]
     middle = points.mean(axis=0)
-    slope = (arc - arc.mean()) @ (points - middle)
     along = up_axis('z')
-    first = rotation_between(slope, along)
+    first = rotation_between((arc - arc.mean()) @ (points - middle), along)
     a, b = (measured[visible] - middle) @ first.T, markers[visible] - arc.mean() * along
     rotation = rotation_about(along, a, b) @ first
     return rotation, arc.mean() * along - rotation @ middle
