@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise, zip_longest
+from itertools import compress, pairwise, zip_longest
 
 import numpy as np
 
@@ -367,12 +367,9 @@ def _without_rest(piece: Piece, rest: float, first: bool) -> Piece:
     """Exclude the segments at rest but the first one, which shows the straight arm."""
     if not rest:
         return piece
-    resting = [_size(one) < rest for one in piece.segments]
-    if first and resting:
-        resting[0] = False
-    pairs = list(zip(piece.segments, resting, strict=True))
-    kept = tuple(one for one, is_rest in pairs if not is_rest)
-    between = tuple(one for one, is_rest in pairs if is_rest)
+    at_rest = [_size(one) < rest and (i > 0 or not first) for i, one in enumerate(piece.segments)]
+    loaded = [not one for one in at_rest]
+    kept, between = (tuple(compress(piece.segments, which)) for which in (loaded, at_rest))
     return replace(piece, segments=kept, resting=between)
 
 
