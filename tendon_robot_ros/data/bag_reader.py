@@ -487,14 +487,12 @@ def refuse_two_senders(recording: Recording) -> None:
 def alternating(times: Floats, values: Floats) -> tuple[float, float, float] | None:
     """Return begin, end [s] and difference where values (S, n) of two kinds alternate."""
     count = len(times) // GROUP
-    if not count:
-        return None
     values = values[:, np.isfinite(values).any(axis=0)]
     if not values.shape[1]:
         return None
     low, high = np.nanquantile(values, [0.01, 0.99], axis=0)
     spread = high - low
-    groups = values[: count * GROUP].reshape(count, GROUP, -1)
+    groups = values[: count * GROUP].reshape(count, GROUP, values.shape[1])
     order = np.sort(groups, axis=1)
     gaps = np.nan_to_num(np.diff(order, axis=1))  # (count, GROUP - 1, n)
     at = gaps.argmax(axis=1)[:, None]

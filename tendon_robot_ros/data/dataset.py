@@ -346,10 +346,7 @@ class DataSet(TextResult):
         """
         measured = self.trial_mask.copy()  # (P, Q)
         measured[~measured.any(axis=1), 0] = True  # an unmeasured posture has a row per marker
-        posture, trial = np.nonzero(measured)
-        count = len(self.markers)
-        p, q = np.repeat(posture, count), np.repeat(trial, count)
-        j = np.tile(range(count), len(trial))
+        p, q, j = np.nonzero(np.repeat(measured[..., None], len(self.markers), axis=2))
         ordered = {
             'posture': self.postures,
             'trial': self.trial_names,
