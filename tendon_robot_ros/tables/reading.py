@@ -339,15 +339,13 @@ def read_c3d(shown: str, path: Path) -> RawTable:
     length = str((values('POINT', 'UNITS') or ['mm'])[0])
     written = names('POINT', points.shape[1])
     labels = _apart(written)
-    for j, label in enumerate(labels):
-        for axis, places in zip('xyz', points[:3, j], strict=True):
-            columns[f'{label} {axis}'] = places.astype(float)
-            units[f'{label} {axis}'] = length
+    axes = [f'{label} {axis}' for label in labels for axis in 'xyz']
+    columns |= zip(axes, np.concatenate(points[:3].swapaxes(0, 1)).astype(float), strict=True)
+    units |= dict.fromkeys(axes, length)
     analogs = content['data']['analogs'][0]  # (A, F times frames per point)
     channels = _apart(names('ANALOG', len(analogs)))
-    columns |= {
-        one: v.reshape(count, -1).mean(axis=1) for one, v in zip(channels, analogs, strict=True)
-    }
+    means = (one.reshape(count, -1).mean(axis=1) for one in analogs)
+    columns |= zip(channels, means, strict=True)
     written_units = zip(channels, values('ANALOG', 'UNITS'), strict=False)
     units |= {channel: unit.strip() for channel, unit in written_units if find_unit(unit)}
     screen = str((values('POINT', 'Y_SCREEN') or [''])[0]).strip().lower().lstrip('+')
