@@ -120,10 +120,10 @@ class Places:
     directions: Floats
 
     @classmethod
-    def of(cls, samples: Sequence[tuple[float, Floats, Floats]], start: float = 0.0) -> Places:
-        """Return samples (time, position, direction), with times since a start [s]."""
+    def of(cls, samples: Sequence[tuple[float, Floats, Floats]]) -> Places:
+        """Return samples (time, position, direction)."""
         return cls(
-            np.array([time - start for time, _, _ in samples]),
+            np.array([time for time, _, _ in samples]),
             np.array([place for _, place, _ in samples]).reshape(-1, 3),
             np.array([view for _, _, view in samples]).reshape(-1, 3),
         )
@@ -220,27 +220,26 @@ def read_moves(path: str | Path) -> tuple[PathRun, Places]:
     """
     received: dict[str, list[tuple[float, Any]]] = {}
     with opened(path) as reader:
+        start = 1e-9 * reader.start_time
         types = {c.topic: c.msgtype for c in reader.connections}
         poses = [(name, POSE_STAMPED) for name in TIPS]
         kinds = [*TARGETS, TRAJECTORY, *poses, (COMMAND, JOINT_STATE)]
         topics = ((topic_of(types, name, kind), name) for name, kind in kinds)
         roles = {topic: name for topic, name in topics if topic is not None}
         for topic, time, message in stored(reader, roles):
-            received.setdefault(roles[topic], []).append((1e-9 * time, message))
-        start = 1e-9 * reader.start_time
+            received.setdefault(roles[topic], []).append((1e-9 * time - start, message))
     if not any(received.get(name) for name in ('target_pose', 'target_point', COMMAND)):
         problem = 'holds neither target_pose, target_point nor tendon_command'
         raise DataSetError(str(path), problem, 'record them: python -m tendon_robot_ros record')
-    targets = _places([m for name, _ in TARGETS for m in received.get(name, [])], start)
+    targets = _places([m for name, _ in TARGETS for m in received.get(name, [])])
     tip = next((name for name in TIPS if received.get(name)), TIPS[-1])
-    tips = _places(received.get(tip, []), start)
-    trajectories = np.array([time - start for time, _ in received.get(TRAJECTORY[0], [])])
+    tips = _places(received.get(tip, []))
+    trajectories = np.array([time for time, _ in received.get(TRAJECTORY[0], [])])
     sent = received.get(COMMAND, [])
     names = tuple(sent[0][1].name) if sent else ()
     pull = bool(sent) and len(sent[0][1].effort) == 0
     kind = 'displacement' if pull else 'tension'
-    values = np.array([joints_of(message, names, kind) for _, message in sent])
-    values = values.reshape(len(sent), len(names))
+    values = np.array([joints_of(m, names, kind) for _, m in sent]).reshape(len(sent), len(names))
     good = np.isfinite(values).all(axis=1)
     run = PathRun(
         inputs=names,
@@ -248,7 +247,7 @@ def read_moves(path: str | Path) -> tuple[PathRun, Places]:
         row_times=targets.times,
         tips=tips,
         measured=tip == TIPS[0],
-        command_times=np.array([time - start for time, _ in sent])[good],
+        command_times=np.array([time for time, _ in sent])[good],
         commands=values[good],
         pull=pull,
     )
@@ -274,10 +273,10 @@ def _standing(targets: Places, trajectories: Floats, end: float) -> Places:
     return Places(times, positions, np.repeat(targets.directions, 3, axis=0))
 
 
-def _places(stamped: list[tuple[float, Any]], start: float) -> Places:
+def _places(stamped: list[tuple[float, Any]]) -> Places:
     """Return the places of poses and points with their times [s], in the order of time."""
     samples = sorted(map(_place, stamped), key=lambda sample: sample[0])
-    return Places.of([sample for sample in samples if np.isfinite(sample[1]).all()], start)
+    return Places.of([sample for sample in samples if np.isfinite(sample[1]).all()])
 
 
 def _place(stamped: tuple[float, Any]) -> tuple[float, Floats, Floats]:
