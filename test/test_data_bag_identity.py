@@ -231,6 +231,12 @@ def test_noise_of_what_does_not_move_is_no_second_sender(draw, messages):
     assert alternating(np.arange(messages) / 50.0, values)[2] == pytest.approx(10.0, abs=3.0)
 
 
+@pytest.mark.parametrize('messages', [0, 1, 11])
+def test_a_few_messages_do_not_tell_of_a_second_sender(messages):
+    values = np.tile(np.arange(messages)[:, None] % 2 * 10.0, 3)
+    assert alternating(np.arange(messages) / 50.0, values) is None
+
+
 def test_two_trackers_on_one_topic_are_named(tmp_path):
     class Two(Mixed):
         def _write(self, writer, time, shape, inputs):
