@@ -34,17 +34,17 @@ class TextResult:
 
 def pandas() -> Any:
     """Return the package pandas; MissingExtraError where it is not installed."""
-    return _of_the_tables('pandas')
+    return of_the_tables('pandas')
 
 
 def arrow() -> Any:
     """Return pyarrow with its Parquet; MissingExtraError where it is not installed."""
-    _of_the_tables('pyarrow.parquet')
-    return _of_the_tables('pyarrow')
+    of_the_tables('pyarrow.parquet')
+    return of_the_tables('pyarrow')
 
 
-def _of_the_tables(name: str) -> Any:
-    """Import a package of the extra `tables`."""
+def of_the_tables(name: str) -> Any:
+    """Return a package of the extra `tables`; MissingExtraError where it is not installed."""
     try:
         return importlib.import_module(name)
     except ImportError:

@@ -17,7 +17,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import DataSetError, MissingExtraError, reason_of, short
 from ..common.files import TABLE_ENDINGS, TEXT_ENDINGS
-from ..common.results import pandas
+from ..common.results import of_the_tables, pandas
 from ..common.words import find_unit, listing
 from .columns import (
     DERIVED,
@@ -311,10 +311,7 @@ def read_c3d(shown: str, path: Path) -> RawTable:
         The package ezc3d is not installed.
 
     """
-    try:
-        import ezc3d
-    except ImportError:
-        raise MissingExtraError('ezc3d', 'tables') from None
+    ezc3d = of_the_tables('ezc3d')
     try:
         content = ezc3d.c3d(str(path))
     except Exception as error:  # a damaged file can fail anywhere in the parser
