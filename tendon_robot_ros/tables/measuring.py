@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress, pairwise, zip_longest
@@ -166,7 +165,7 @@ class StillMeasurements:
         if not segments:
             times = [one.recording.tracks[0].times for one in traces]
             raise never_still(name, motions, times, rule)
-        compared = segments[: math.isqrt(VALUES_MAX)]  # each with each
+        compared = segments[: int(np.sqrt(VALUES_MAX))]  # each with each
         self.same = _guess_same(compared) if recipe.same is None else recipe.same
         rest = recipe.rest
         if rest is None:

@@ -60,11 +60,9 @@ def _matches(inputs: Floats, moved: Floats, drift: float) -> Floats:
 
 def _next_best(match: Floats, best: int) -> float:
     """Return the highest match that is not on the slopes of the best one."""
-    low = CLEAR_RATIO * match[best]
-    below = np.flatnonzero(match < low)
-    before, after = below[below < best], below[below > best]
-    begin = int(before[-1]) if len(before) else 0
-    end = int(after[0]) if len(after) else len(match)
+    below = np.flatnonzero(match < CLEAR_RATIO * match[best])
+    begin = below[below < best].max(initial=0)
+    end = below[below > best].min(initial=len(match))
     return float(max(match[:begin].max(initial=0.0), match[end:].max(initial=0.0)))
 
 
