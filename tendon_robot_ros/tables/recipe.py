@@ -143,8 +143,8 @@ def part(kind: type) -> Read:
     return lambda one, name: one.child(name).read(kind)
 
 
-# fields of the dataclasses below: their type, and how the key of the same name is read; with names
-# of their own where they need this module, because annotations are evaluated without it
+# fields of the dataclasses below: their type, and how the key of the same name is read; they
+# stand here because a function within an annotation does not see the names of this module
 Text = Annotated[str | None, RecipeFields.text]
 Numbers = Annotated[tuple[float, ...] | None, RecipeFields.list_of_numbers]
 Xyz = Annotated[Vector | None, lambda one, name: one.vector(name, 3)]
