@@ -97,8 +97,7 @@ def import_table(
     catalogue = load_catalogue(catalogue)
     up_assumed: list[str] = []
     if not is_up_given:
-        predictor = Predictor(raw, robot, catalogue)
-        up, up_assumed = up_that_fits(predictor, chosen.recipe.frame, recipe.up)
+        up, up_assumed = up_that_fits(Predictor(raw, robot, catalogue), chosen.recipe)
         chosen.recipe = replace(chosen.recipe, up=up)
     placed = Placed(raw, chosen.recipe, catalogue)
     final, frame = placed.dataset, placed.frame

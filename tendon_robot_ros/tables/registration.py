@@ -138,16 +138,14 @@ class TrackerFrame:
         }
 
 
-def up_that_fits(
-    predictor: Predictor, choice: FrameChoice, usual: str | None
-) -> tuple[str | None, list[str]]:
+def up_that_fits(predictor: Predictor, recipe: Recipe) -> tuple[str | None, list[str]]:
     """
     Return the axis that points up, where only the file format suggests one, and assumptions.
 
     Another axis is used if the verticals contradict the postures with the usual one and agree
     with the other one, because a tracker may be set up differently.
     """
-    gravity = predictor.robot.gravity
+    choice, usual, gravity = recipe.frame, recipe.up, predictor.robot.gravity
     if usual is None or gravity is None or not any(gravity) or choice.method or choice.rotation:
         return usual, []
     frame = TrackerFrame(predictor, choice, usual)
