@@ -70,7 +70,7 @@ class Recording:
         return _sane(np.array([joints_of(state, names, kind) for state in self.states]))
 
 
-def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
+def read_bag(path: str | Path, topics: Topics) -> Recording:
     """
     Read a rosbag2 folder, or a single .mcap or .db3 file.
 
@@ -82,9 +82,8 @@ def read_bag(path: str | Path, topics: Topics | None = None) -> Recording:
         The package rosbags is not installed.
 
     """
-    topics, bag = topics or Topics(), str(path)
+    bag, start = str(path), 0
     received: dict[str, list[tuple[int, Any]]] = {}
-    start = 0
     with opened(path) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
         roles = _roles(bag, types, topics)
