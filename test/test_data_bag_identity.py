@@ -72,10 +72,13 @@ class Mixed(Recorder):
             message = writer.types.types[TF]
             fixed = [self._transform(time, *one) for one in self.static]
             writer.write('/tf_static', time, message(transforms=fixed))
+        shape = shape if self.tracker is None else self.tracker(shape)
+        if self.by_topic:
+            super()._write(writer, time, shape, inputs)
+            return
         self._states(writer, time, inputs, '/driver (process 1)')
         if self.second is not None and (other := self.second(now, inputs)) is not None:
             self._states(writer, time + 3_000_000, np.array(other), '/driver (process 2)')
-        shape = shape if self.tracker is None else self.tracker(shape)
         seen = np.isfinite(shape).all(axis=1)
         if self.tf:
             moved = [
@@ -154,8 +157,11 @@ def test_frames_that_are_no_markers_are_named(tmp_path):
     )
 
 
-def test_topics_that_are_called_as_the_markers_are_read(tmp_path):
-    bag = Recorder(rate=RATE, by_topic=True).write(tmp_path / 'bag', LOADED_TWICE)
+@pytest.mark.parametrize(
+    'options', [{}, {'static': (STATIC,), 'frame': 'camera', 'tracker': turned}]
+)
+def test_topics_that_are_called_as_the_markers_are_read(tmp_path, options):
+    bag = Mixed(by_topic=True, **options).write(tmp_path / 'bag', LOADED_TWICE)
     places = ', '.join(f'{{name: m{i}, arc_length: {0.01 * (i + 1)}}}' for i in range(3))
     is_right(import_bag(bag, SMALL, description=f'markers: [{places}]', rest=0.2))
 

@@ -196,6 +196,13 @@ def test_an_export_of_vicon_gives_markers_their_unit_time_and_up(tmp_path):
     assert table.columns['time'].tolist() == [0.01, 0.02]
 
 
+def test_a_marker_may_be_called_as_an_axis_is(tmp_path):
+    table = read(tmp_path, VICON.replace('arm:elbow', 'arm:disk Z'))
+    (x, _, z), _ = points_of(table)
+    assert (table.columns[x][0], table.columns[z][0]) == (1.0, 3.0)
+    assert (x, z) == ('disk Z X', 'disk Z Z')
+
+
 def test_an_export_of_vicon_without_points_is_refused(tmp_path):
     with pytest.raises(DataSetError, match=r'is an export of Vicon .* its header rows'):
         read(tmp_path, 'Devices\n1000\n')

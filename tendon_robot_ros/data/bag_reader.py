@@ -390,7 +390,8 @@ def with_markers(recording: Recording, topics: Topics, names: Sequence[str]) -> 
     if not topics.markers:
         own = {n: [t for t in stamped if n in t.split('/')] for n in names}
         if all(len(matches) == 1 for matches in own.values()):
-            return read_bag(bag, replace(topics, markers={n: t[0] for n, t in own.items()}))
+            found = {n: matches[0] for n, matches in own.items()}
+            return _to_base(read_bag(bag, replace(topics, markers=found)))
     transforms = Transforms(recording)
     chosen = dict(topics.markers) or {name: name for name in names}
     chosen = {name: frame.lstrip('/') for name, frame in chosen.items()}

@@ -268,7 +268,7 @@ def _names(
     names = [f'{n} {types[i]}'.strip() if n in twice else n for i, n in enumerate(names)]
     for i, name in enumerate(names):  # the axis follows a type that distinguishes columns
         words = name.split(' ')
-        at = next((k for k, word in enumerate(words) if word in ('X', 'Y', 'Z', 'W')), None)
+        at = max((k for k, word in enumerate(words) if word in ('X', 'Y', 'Z', 'W')), default=None)
         if name not in axes and at is not None:
             names[i] = ' '.join([*words[:at], *words[at + 1 :], words[at]])
     _check(f'{shown}, row {row}', names)
