@@ -282,6 +282,17 @@ def test_fits_look_beyond_turns_of_friction_at_the_last_weights_too():
     assert [effect.name for effect in found.effects] == ['nonlinear_stiffness']
 
 
+@pytest.mark.long
+def test_what_kinks_would_imitate_is_named():
+    """Kinks of five times the usual size predict postures that are left out as well as it does."""
+    setup = replace(read_plan(PLANS / 'diagnosis_spatial.yaml').setup, seed=77)
+    made = setup.simulated(Case('spatial_3', 'pre_curvature', 1.0, 4))
+    (found,) = diagnose(made.fit, catalogue=CATALOGUE).effects
+    assert found.name == 'pre_curvature'
+    for name, true in made.values.items():
+        assert found.parameters[name].low < true < found.parameters[name].high
+
+
 @pytest.mark.parametrize('name', ['messy_008', 'messy_s0'])
 def test_where_friction_does_not_turn_over_a_fit_stays_as_it_is(name):
     dataset = case(name)

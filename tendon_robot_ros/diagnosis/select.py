@@ -287,19 +287,14 @@ def _numbers(ranked: Ranked, gain_p: float = 1.0) -> Hypothesis:
 
 
 def gain_p_values(session: Session, base: Fit, ranked: Sequence[Ranked]) -> list[float]:
-    """
-    Return the p-value of each gain; 1 where it is none on left-out postures.
-
-    Half where the one parameter can only move to one side.
-    """
-    held, _ = base.held_out(session.whitener.owners)
+    """Return the p-value of each gain, halved where the one parameter has only one side."""
 
     def chance(fit: Fit) -> float:
         rank = max(fit.rank, 1)
         p_value = gain_p_value(base, session.whitener, fit.deviance, fit.markers, rank)
         return 0.5 * p_value if fit.one_sided else p_value
 
-    return [chance(r.fit) if r.held_out < held else 1.0 for r in ranked]
+    return [chance(r.fit) for r in ranked]
 
 
 def beside_deviations(session: Session, base: Fit, ranked: Sequence[Ranked]) -> list[float]:

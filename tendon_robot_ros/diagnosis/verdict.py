@@ -190,7 +190,7 @@ class Hypothesis:
     trust: float = 1.0  # probability of predicting left-out postures so much worse than fitted
     misfit: float = 1.0  # chi² over its degrees of freedom
     present: bool = False  # whether the description has them already
-    gain_p: float = 1.0  # p-value of its gain, were it the only one; 1: none on left-out postures
+    gain_p: float = 1.0  # p-value of its gain, were it the only one
 
 
 @dataclass(frozen=True)
