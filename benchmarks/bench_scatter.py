@@ -22,7 +22,6 @@ from tendon_robot_ros.diagnosis.report_rows import arm_report
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.inference.intervals import SizeIntervals
 from tendon_robot_ros.inference.marginal import Prior, RandomEffects
-from tendon_robot_ros.inference.outliers import find_outliers
 from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
@@ -80,7 +79,7 @@ def fitted(name, hidden, number, level, seed):
     case = Case(name, hidden, SIZE, number, level=level)
     made = replace(setup, seed=seed).simulated(case)
     session, fit = Question.of(made.fit, made.robot, catalogue).weigh(), None
-    session = session.without(find_outliers(session.predictor, {}))
+    session = session.without_outliers()
     frees = [c.frees for c in session.candidates if c.names == (hidden,)]
     for _ in range(3):
         if fit is not None:

@@ -244,7 +244,7 @@ def test_a_soft_cell_is_looked_for_beyond_where_friction_turns_over():
     setup = replace(read_plan(PLANS / 'diagnosis.yaml').setup, seed=71)
     made = setup.simulated(Case('hinged', 'soft_cell', 0.65, 3))
     session = Question.of(made.fit, made.robot, CATALOGUE).weigh()
-    session = session.without(find_outliers(session.predictor, {}))
+    session = session.without_outliers()
     base = session.fitter.over_reversals(session.base_fit())
     found = Patterns(session.fitter, base, reversals=True).soft_cell()
     assert found.deviance < base.deviance - 20.0
@@ -256,7 +256,7 @@ def test_a_fit_looks_beyond_where_friction_turns_over():
     """One posture lies by a turn of friction: on the near side cells scatter by ten times."""
     made = levels_case('hinged/gravity/0.69461/0/0/0/0.3333/0')
     session = Question.of(made.fit, made.robot, CATALOGUE).weigh()
-    session = session.without(find_outliers(session.predictor, {}))
+    session = session.without_outliers()
     frees = next(one.frees for one in session.candidates if one.names == ('gravity',))
     near = session.fitter.fit(frees)
     for _ in range(2):

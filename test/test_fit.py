@@ -52,7 +52,7 @@ def test_a_fit_finds_what_the_robot_hides(effect, values):
         truth = values.get(key, 0.0)
         spread = (value.high - value.low) / (2 * 1.96)
         assert abs(value.value - truth) < 4.0 * spread, key
-    assert fit.probability(session.freedom) > 1e-3
+    assert fit.probability(session.noise.freedom) > 1e-3
 
 
 @pytest.mark.parametrize('kind', ['tension', 'displacement'])
@@ -277,7 +277,7 @@ def test_a_declared_tolerance_takes_part_with_its_prior():
     base = session.base_fit()
     assert base.values[-1] == pytest.approx(0.04, abs=0.01)
     assert base.prior_z['bending_stiffness'] == pytest.approx(0.8, abs=0.2)
-    assert base.probability(session.freedom) > 1e-3
+    assert base.probability(session.noise.freedom) > 1e-3
     claimed = session.fitter.fit(
         next(c for c in session.candidates if c.names == ('backbone_stiffness',)).frees
     )

@@ -214,7 +214,7 @@ def add_effects(
         more = more_at_work(fitted, probability)
         squares = descriptions.left_out_squares
         error = model_error_of(session.dataset, squares, session.whitener.floor())
-    by = session.accuracy if session.use_accuracy else None
+    by = session.dataset.accuracy if session.use_accuracy else None
     loads, moved = loads_of(fit, session.predictor, scale), fit.prior_z
     added = Addition(
         descriptions.robot,
@@ -247,11 +247,11 @@ class Settled:
 def settle(session: Session, names: Sequence[str], start: Point | None = None) -> Settled:
     """Fit effects together, weighed by the accuracy where they misfit beyond repeatability."""
     session, fit = fit_effects(session, names, start)
-    probability, fit = fit.probability(session.freedom), session.fitter.for_values(fit)
+    probability, fit = fit.probability(session.noise.freedom), session.fitter.for_values(fit)
     descriptions = written(session, fit)
-    if probability <= P_SINGLE_MIN and session.accuracy:
+    if probability <= P_SINGLE_MIN and session.dataset.accuracy:
         session, fit, descriptions = _by_accuracy(session, names, fit, descriptions)
-    own = fit.probability(session.freedom) if session.use_accuracy else probability
+    own = fit.probability(session.noise.freedom) if session.use_accuracy else probability
     scale = 1.0 if own > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
     return Settled(session, fit, descriptions, probability, scale)
 

@@ -16,7 +16,6 @@ from ..inference.crossval import rms_of
 from ..inference.discrepancy import since
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES
-from ..inference.outliers import find_outliers
 from ..inference.predict import FreeParameter
 from ..inference.session import NOISE_UNKNOWN, Question, Session
 from ..robot import RobotLike
@@ -95,7 +94,7 @@ def diagnose(
     exchange = exchanged_in(session.predictor)  # else outliers may be exchanged markers
     if exchange is not None:
         return _mistaken(session, exchange)
-    session = session.without(find_outliers(session.predictor, {}))
+    session = session.without_outliers()
     usual = session.usual_floor
     mistake = find_mistake(session.predictor, session.known_floor, usual)
     plain = mistake is not None and mistake.after <= PLAIN_FLOORS * usual
@@ -150,7 +149,9 @@ def _explains(session: Session, one: Mended) -> bool:
         fit = mended.fitter.fit(frees, first)
     except FAILURES:
         return False
-    return fit.probability(mended.freedom) > P_SINGLE_MIN and not is_odd_fit(fit, mended.predictor)
+    return fit.probability(mended.noise.freedom) > P_SINGLE_MIN and not is_odd_fit(
+        fit, mended.predictor
+    )
 
 
 def _weighed(question: Question, frees: tuple[FreeParameter, ...] = ()) -> tuple[Session, Fit]:
@@ -185,7 +186,7 @@ def _judge(question: Question) -> Diagnosis:
     fits = gather(question)
     decision = fits.judge()
     outside = decision.verdict is Verdict.OUTSIDE_CATALOGUE
-    if outside and question.accuracy and not question.use_accuracy:
+    if outside and question.dataset.accuracy and not question.use_accuracy:
         fits = gather(replace(question, use_accuracy=True))
         decision = fits.judge()
     return _result(fits, decision)

@@ -109,11 +109,8 @@ class AsFound:
         residual, jacobian = grown(effects, moves, state.whitener, standard)
         root = covariance_root(jacobian)[0]
         step = root @ (root.T @ (jacobian.T @ residual))
-        frees = [fit.frees[i] for i in own]
-        point = {
-            free: float(np.clip(value, free.parameter.low, free.parameter.high))
-            for free, value in zip(frees, fit.values[own] - step[:k], strict=True)
-        }
+        moved = zip(own.tolist(), (fit.values[own] - step[:k]).tolist(), strict=True)
+        point = {fit.frees[i]: fit.frees[i].clip(value) for i, value in moved}
         robot = search.written(state)
         arm = BuiltPredictor(Predictor(search.dataset, robot, search.catalogue))
         arm.around = {

@@ -19,9 +19,8 @@ from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import Floats, Ints
 from ..inference.fit import Fit
 from ..inference.imperfections import (
     ACROSS,
@@ -130,7 +129,7 @@ def faults_of(session: Session, fit: Fit) -> list[dict[str, Any]]:
         own = imperfections(BuiltPredictor(session.predictor), fit.point, changed=True)
     if own is None:
         return []
-    faults = local_faults(own.kinds, own.moves, session.whitener, fit, session.freedom)
+    faults = local_faults(own.kinds, own.moves, session.whitener, fit, session.noise.freedom)
     return [fault.to_json(session.robot, session.dataset.postures) for fault in faults]
 
 
@@ -198,9 +197,9 @@ class PlaceColumns:
     """
 
     whole: Floats  # (N, K)
-    owners: npt.NDArray[np.int64]  # posture (N,) of each value
-    column: npt.NDArray[np.int64]  # (M,) which of the K
-    posture: npt.NDArray[np.int64]  # (M,) in which posture; -1: in all
+    owners: Ints  # posture (N,) of each value
+    column: Ints  # (M,) which of the K
+    posture: Ints  # (M,) in which posture; -1: in all
 
     def __getitem__(self, i: int) -> Floats:
         """Return the column (N,) of a place."""

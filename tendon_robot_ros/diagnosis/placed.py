@@ -18,17 +18,18 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Floats
-from ..effects import Effect
 from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, GAINS_TO_COME, Fitter
-from ..inference.imperfections import pushes
+from ..inference.imperfections import forces_along
 from ..inference.intervals import QUANTILE
 from ..inference.predict import FreeParameter, Point, Predictor, free_parameters
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import NEAR_SCORE, Session
+from ..model.derivatives import DIFFERENCE_STEP as FORCE_STEP
 
 Start = Mapping[str, float]  # parameter -> SI
+PUSH, STRING, WALL = 'point_load', 'tether', 'contact'  # effects whose place is unknown
 DIRECTIONS = 200  # [1] of a wall or a string, because neighbours of so many are 15° apart
 # [1] of a wall, 5° apart, because half of its gain may be gone 10° off; the best one near each of
 # `DIRECTIONS` is a start
@@ -57,11 +58,12 @@ class Screen:
         fitter.linearise_around({})
         fitter.sizes = fitter.random.start
         arc_lengths = np.cumsum(predictor.model.arrays.cells[:, 0])
-        slopes, markers = None, predictor.markers(base.point)
-        if markers is not None:
-            slopes = pushes(predictor, base.point, arc_lengths)
-        if slopes is None or markers is None:
+        markers = predictor.markers(base.point)
+        if markers is None or predictor.model.remembers or PUSH in predictor.robot.effects:
             return None
+        force = predictor.model.catalogue[PUSH].parameters[1]
+        step = FORCE_STEP * force.typical
+        slopes = forces_along(predictor, base.point, PUSH, step, arc_lengths)
         free = np.zeros((len(arc_lengths), len(predictor.inputs), 3))
         for part, shapes in predictor.settle(
             base.point, predictor.given(predictor.inputs), near=predictor.settled
@@ -91,16 +93,6 @@ class Screen:
             (free + moved.transpose(2, 0, 1))[:, shown],
             predictor.robot.length,
         )
-
-    def starts(self, effect: Effect) -> Iterator[Start]:
-        """Yield starts of an effect, those that gain most first."""
-        if effect.name == 'point_load':
-            yield from self.loads()
-        elif effect.name == 'tether':
-            yield from self.strings()
-        else:
-            hard = effect.parameters[0].typical
-            yield from ({'stiffness': hard, **wall} for wall in self.walls())
 
     def loads(self) -> Iterator[Start]:
         """Yield loads, those that gain most first."""
@@ -189,16 +181,18 @@ def fit_placed(session: Session, base: Fit, line: float) -> list[Ranked]:
     screen, fitted = Screen.of(session.fitter, base), dict[str, Ranked]()
     if screen is None:
         return []
-    names = ['point_load', 'tether', 'contact']
-    if session.fitter.response > 0.0:  # what changes with the posture may be the model's error
-        names = names[:1]
-    for name in names:
+    places = {PUSH: screen.loads(), STRING: screen.strings(), WALL: screen.walls()}
+    for name, starts in places.items():
         if name not in session.catalogue or name in session.robot.effects:
             continue
-        starts = screen.starts(session.catalogue[name])
-        best = _fitted(session, name, starts, base, line, along=name != 'contact')
-        load = fitted.get('point_load')
-        if name == 'tether' and load is not None and load.score < base.deviance:
+        if name != PUSH and session.fitter.response > 0.0:
+            continue  # what changes with the posture may be the model's error
+        if name == WALL:
+            hard = session.catalogue[name].parameters[0].typical
+            starts = ({'stiffness': hard, **wall} for wall in starts)
+        best = _fitted(session, name, starts, base, line, along=name != WALL)
+        load = fitted.get(PUSH)
+        if name == STRING and load is not None and load.score < base.deviance:
             both = best, _fitted(session, name, screen.springs(load), base, line, few=1)
             best = min(filter(None, both), key=lambda one: one.score, default=None)
         if best is not None:
@@ -220,18 +214,14 @@ def _fitted(
 
     Of places `along` the arm those that are worse than their neighbours lead to the same fit. A
     start is not followed if that step, less what gains may come, leaves it as far behind the line
-    as a `race` allows.
+    as `Session.fit_all` allows.
     """
     fitter, best = session.fitter, None
     rows = list[tuple[float, dict[FreeParameter, float]]]()
     reach = DISTANCES[-1] * session.robot.length  # a string from farther away is as good as a load
     every = [within(f, reach) for f in free_parameters(session.catalogue[name], session.robot)]
     for start in sorted(islice(starts, STARTS), key=lambda start: start.get('arc_length', 0.0)):
-        frees = {
-            free: float(np.clip(start[free.key], free.parameter.low, free.parameter.high))
-            for free in every
-            if free.key in start
-        }
+        frees = {free: free.clip(start[free.key]) for free in every if free.key in start}
         with suppress(*FAILURES):
             search = fitter.search(tuple(frees), frees, near=base.settled)
             rows.append((fitter.estimate(search).deviance, frees))
@@ -262,7 +252,7 @@ def ways(name: str, postures: int) -> int:
     2 sum_k (P - 1 over k) ways, k from 0 to 3 (Cover 1965): every subset of four.
     """
     walls = 2 * sum(math.comb(postures - 1, k) for k in range(4))
-    return {'contact': walls, 'tether': 2}.get(name, 1)
+    return {WALL: walls, STRING: 2}.get(name, 1)
 
 
 def within(free: FreeParameter, reach: float) -> FreeParameter:

@@ -135,7 +135,7 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
     built, random = fit.built, session.random
     if not fit.as_built:
         return None
-    sizes = built.estimate(prior=Prior.NONE).values
+    sizes = fit.estimate(prior=Prior.NONE).values
     slopes = fit.jacobian[: len(random.columns), : len(fit.all_frees)]
     intervals = SizeIntervals(random, sizes, slopes, fit.precisions)
     lows, highs = intervals.ends(sizes)
@@ -297,11 +297,11 @@ def details_of(fits: Fits, decision: Concluded) -> dict[str, Any]:
             'chi2': base.chi2,
             'deviance': base.deviance,
             'freedom': base.freedom,
-            'probability': base.probability(session.freedom),
+            'probability': base.probability(session.noise.freedom),
         },
         'score': session.score(base.deviance if chosen is None else chosen.score),
         'relative_to_remainder': decision.scale if outside else None,
-        'accuracy': session.accuracy if session.use_accuracy else None,
+        'accuracy': session.dataset.accuracy if session.use_accuracy else None,
         'model_error': session.robot.model_error,
         'reference': taken and {'data': taken.name, 'error': taken.error},
     }

@@ -115,13 +115,14 @@ class Fits:
     def evidence(self) -> Evidence:
         """Return what is known before anything is asked."""
         session, base = self.session, self.base
+        twins = {q: twin[0] if (twin := session.catalogue.twin(q)) else None for q in base.prior_z}
         return Evidence(
             base.as_built,
             base.deviance,
-            base.probability(session.freedom),
+            base.probability(session.noise.freedom),
             tuple(map(_numbers, self.singles, gain_p_values(session, base, self.singles))),
             base.prior_z,
-            {quantity: session.twin_of(quantity) for quantity in base.prior_z},
+            twins,
         )
 
     def _found(self, known: Evidence, missing: Missing) -> dict[str, Any]:

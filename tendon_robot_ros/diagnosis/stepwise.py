@@ -16,14 +16,13 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import Floats, Ints
 from ..common.errors import InputError
 from ..data import DataSet
 from ..effects import Catalogue
 from ..inference.candidates import Candidate, joining_effects
-from ..inference.crossval import FOLDS, Groups, folds_of, left_out_errors
+from ..inference.crossval import FOLDS, folds_of, left_out_errors
 from ..inference.description import (
     OF_THE_ARM,
     DescribedArm,
@@ -41,13 +40,12 @@ from ..inference.search import DIFFERENCE_STEP, LADDER
 from ..inference.session import Question
 from ..inference.statistics import misfit_p_value, rms
 from ..robot import Robot
-from ..robot.estimates import natural_sizes
 from .select import overlaps
 from .setup_hypotheses import Mistake
 from .setup_mistakes import find_mistake
 from .verdict import P_SINGLE_MIN, POSTURES_MIN
 
-Held = Sequence[int] | npt.NDArray[np.int64]
+Held = Sequence[int] | Ints
 GROUPS_MIN = POSTURES_MIN + 1  # [1] of different inputs, because one is left out
 GROUPS_MAX = 16  # [1] of postures, because the whole search is made without each of them
 PRIOR_TYPICALS = 10.0  # [1] sd of the priors, so that only what nothing tells stays as described
@@ -124,10 +122,7 @@ class Rates:
         slopes = self.fit.jacobian[: self.whitener.size]
         best, lowest = None, np.inf
         for size in LADDER[:4:2]:
-            start = {
-                free: float(np.clip(size * p.typical, p.low, p.high))
-                for free, p in ((free, free.parameter) for free in block.frees)
-            }
+            start = {free: free.clip(size * free.parameter.typical) for free in block.frees}
             jumped = self._markers(start)
             if jumped is None:
                 break
@@ -164,13 +159,6 @@ def jumps(block: Candidate, predictor: Predictor) -> bool:
 def spread_of(frees: Sequence[FreeParameter]) -> Floats:
     """Return the standard deviations (q,) of the priors of parameters."""
     return np.array([PRIOR_TYPICALS * free.parameter.typical for free in frees])
-
-
-def promised(residual: Floats, jacobian: Floats, whitener: Whitener, groups: Groups) -> float:
-    """Return the mean squared error [m²] of left-out postures after one Gauss-Newton step."""
-    step = covariance_of(*covariance_root(jacobian), blind=0.0) @ (jacobian.T @ residual)
-    errors = left_out_errors(residual - jacobian @ step, jacobian, whitener, groups)
-    return float(np.nanmean(errors))
 
 
 def grown(
@@ -258,8 +246,8 @@ class Stepwise:
         """
         if int((dataset.trials > 0).sum()) < GROUPS_MIN:
             raise InputError(f'{dataset.name}: expected {GROUPS_MIN} or more measured postures')
-        self.robot, self.catalogue = robot, catalogue.sized(natural_sizes(robot))
         session = Question.of(dataset, robot, catalogue).prepared()
+        self.robot, self.catalogue = robot, session.catalogue
         self.unsettled, self.outliers = session.unsettled, session.outliers
         self.dataset, self.whole, self.noise = session.dataset, session.whole, session.noise
         self.predictor = DescribedArm(self.dataset, robot, self.catalogue)
@@ -455,7 +443,11 @@ class Stepwise:
     def promise(
         self, state: State, joining: Joining | None = None, leaving: Candidate | None = None
     ) -> float:
-        """Return the linearised left-out error [m²] if one block joined and another one left."""
+        """
+        Return the left-out error [m²] if one block joined and another one left.
+
+        Linearised, after one Gauss-Newton step.
+        """
         fit, whitener = state.fit, state.whitener
         residual, jacobian = fit.residual, fit.jacobian
         if joining is not None:
@@ -472,7 +464,9 @@ class Stepwise:
             back = np.array([self.predictor.start(fit.frees[i]) for i in own]) - fit.values[own]
             residual = residual + jacobian[:, own] @ back
             jacobian = np.delete(jacobian, own, axis=1)
-        return promised(residual, jacobian, whitener, self.dataset.groups)
+        step = covariance_of(*covariance_root(jacobian), blind=0.0) @ (jacobian.T @ residual)
+        rest = residual - jacobian @ step
+        return float(np.nanmean(left_out_errors(rest, jacobian, whitener, self.dataset.groups)))
 
     def fitted(
         self,

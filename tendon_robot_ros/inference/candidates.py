@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import Floats, Ints
 from ..data import DataSet
 from ..effects import Catalogue, Effect
 from ..robot import Robot
@@ -72,7 +71,7 @@ class Ranked:
     candidate: Candidate
     fit: Fit
     noise_freedom: float  # degrees of freedom behind the noise
-    owners: npt.NDArray[np.int64]  # posture (N,) of each whitened value
+    owners: Ints  # posture (N,) of each whitened value
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import lsq_linear
 
-from ..common.arrays import Floats
+from ..common.arrays import Floats, Ints
 from ..common.errors import NoEquilibriumError
 from ..data import DataSet
 from ..effects import Catalogue
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
 FOLDS = 6  # [1] groups of postures left out in turn, because each costs a run of the model
 # [1] ratio of the errors left out from which the arm as found is written: docs/inference.md
 LEFT_OUT_RATIO_MAX = 0.95
-Groups = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -138,7 +136,7 @@ def model_error_of(dataset: DataSet, squares: Floats, floor: float) -> float | N
     return float(np.sqrt(max(float(h @ excess) / float(h @ h), 0.0)))
 
 
-def folds_of(dataset: DataSet, count: int = FOLDS) -> list[Groups]:
+def folds_of(dataset: DataSet, count: int = FOLDS) -> list[Ints]:
     """Return the postures of at most so many folds; those of the same inputs stay together."""
     measured = np.flatnonzero(dataset.trials > 0)
     own = dataset.groups[measured]
@@ -148,7 +146,7 @@ def folds_of(dataset: DataSet, count: int = FOLDS) -> list[Groups]:
 
 
 def left_out_squares(
-    fitter: Fitter, fit: Fit, beside: bool = True, folds: Sequence[Groups] = ()
+    fitter: Fitter, fit: Fit, beside: bool = True, folds: Sequence[Ints] = ()
 ) -> Floats:
     """
     Return squared errors (P, J) [m²] of postures that were not used: folds are left out in turn.
@@ -191,12 +189,9 @@ def written_markers(
     description can hold (`beside`), or without. None without equilibrium.
     """
     frees = fit.all_frees if beside else fit.frees
-    low = [free.parameter.low for free in frees]
-    high = [free.parameter.high for free in frees]
-    own = np.clip(values[: len(frees)], low, high)
     units = values[len(fit.all_frees) :]
     fitter.linearise_around(written_members(fit, units) if beside else {})
-    point = dict(zip(frees, own.tolist(), strict=True))
+    point = {free: free.clip(value) for free, value in zip(frees, values.tolist(), strict=False)}
     return fitter.predictor.markers(point, near=fit.settled)
 
 
@@ -229,7 +224,7 @@ def last_worthwhile(errors: Floats) -> int:
 
 
 def left_out_errors(
-    residual: Floats, jacobian: Floats, whitener: Whitener, groups: Groups
+    residual: Floats, jacobian: Floats, whitener: Whitener, groups: Ints
 ) -> Floats:
     """
     Return the mean squared error (P,) [m²] of each posture predicted from other inputs.

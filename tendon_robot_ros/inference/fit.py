@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import Bools, Floats, Ints
 from .imperfections import Kind, Members
 from .marginal import Prior, RandomEffects, Sizes, root_inverse
 from .predict import FreeParameter, SettledShapes, Tangent
@@ -38,20 +36,18 @@ class Scatter:
     around: Members  # where they are taken as linear
     sizes: Floats  # (K,) estimated sd of each kind
     penalty: float  # log |V| and priors of the sizes: deviance minus chi²
-    estimate: Callable[..., Sizes]  # estimates the sizes; takes `remainder` and `prior`
+    raw: Floats  # (N,) whitened residual without them
+
+    @classmethod
+    def none(cls) -> Scatter:
+        """Return that of an exact arm."""
+        nothing = RandomEffects(np.zeros((0, 0)), np.zeros(0, dtype=np.int64), ())
+        return cls(nothing, {}, nothing.start, 0.0, np.zeros(0))
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
         """The kinds, the remainder last."""
         return self.random.kinds
-
-
-def _no_scatter() -> Scatter:
-    none = RandomEffects.none(0)
-    return Scatter(none, {}, none.start, 0.0, lambda **options: Sizes(none.start, 0.0))
-
-
-NO_SCATTER = _no_scatter()
 
 
 @dataclass(frozen=True)
@@ -68,7 +64,7 @@ class Fit:
     residual: Floats  # (N + priors,) whitened measured minus model, prior rows last
     jacobian: Floats  # (N + priors, q) whitened derivative of the residual
     markers: Floats  # (P, J, 3) [m] of the model alone, without the imperfections
-    built: Scatter = NO_SCATTER
+    built: Scatter = field(default_factory=Scatter.none)
     response: float = 0.0  # relative 1 sd of the model's response, where its error is known
     described: Floats | float = 0.0  # (k,) SI, of the freed parameters
     settled: SettledShapes | None = None  # its equilibria, from which those near it start
@@ -122,7 +118,13 @@ class Fit:
     @cached_property
     def remainder_gain(self) -> float:
         """Gain in deviance by a remainder beside the model and its imperfections."""
-        return max(self.built.estimate(remainder=False).deviance - self.deviance, 0.0)
+        return max(self.estimate(remainder=False).deviance - self.deviance, 0.0)
+
+    def estimate(self, remainder: bool = True, prior: Prior = Prior.SIZES) -> Sizes:
+        """Estimate the sizes of the imperfections anew; see `RandomEffects.estimate`."""
+        raw, sizes = self.built.raw, self.built.sizes
+        slopes = self.jacobian[: len(raw), : len(self.all_frees)]
+        return self.built.random.estimate(raw, slopes, sizes, self.precisions, remainder, prior)
 
     @cached_property
     def rank(self) -> int:
@@ -144,7 +146,7 @@ class Fit:
         return covariance_of(*self._root)
 
     @cached_property
-    def _root(self) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    def _root(self) -> tuple[Floats, Bools]:
         return covariance_root(self.jacobian)
 
     @cached_property
@@ -162,9 +164,8 @@ class Fit:
         if not self.as_built:
             return np.asarray(plain + known)
         random, sizes = self.built.random, self.built.sizes
-        n, spread = len(random.columns), sizes[random.owners]
-        raw = self.residual[:n] + (random.columns * spread) @ self.values[q:]
-        mixture = random.mixture(raw, self.jacobian[:n, :q], sizes, self.precisions)
+        raw = self.built.raw
+        mixture = random.mixture(raw, self.jacobian[: len(raw), :q], sizes, self.precisions)
         seen = np.isfinite(np.diag(plain))
         around = np.where(np.outer(seen, seen), mixture.covariance()[:k, :k], plain)
         sd = np.sqrt(np.diag(around))
@@ -192,7 +193,7 @@ class Fit:
         gain = self.remainder_gain
         return min(chance, 0.5 * chi2_sf(gain, 1)) if gain > 0.0 else chance
 
-    def held_out(self, owners: npt.NDArray[np.int64]) -> tuple[float, float]:
+    def held_out(self, owners: Ints) -> tuple[float, float]:
         """
         Predict each posture from the others (exact for a linear model).
 
@@ -217,7 +218,7 @@ class Fit:
 
 
 def left_out(
-    residual: Floats, hat_root: Floats, owners: npt.NDArray[np.int64], least: float = 1.0
+    residual: Floats, hat_root: Floats, owners: Ints, least: float = 1.0
 ) -> tuple[Floats, Floats]:
     """
     Leave out what has one owner, in turn, and predict it from the rest: the closed form.
@@ -252,14 +253,14 @@ def left_out(
     return deleted, weights
 
 
-def covariance_of(root: Floats, unseen: npt.NDArray[np.bool_], blind: float = np.inf) -> Floats:
+def covariance_of(root: Floats, unseen: Bools, blind: float = np.inf) -> Floats:
     """Inverse (q, q) of the normal matrix, `blind` the variance of columns that are zero."""
     inverse = root @ root.T
     inverse[unseen, unseen] = blind
     return np.asarray(inverse)
 
 
-def covariance_root(jacobian: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
+def covariance_root(jacobian: Floats) -> tuple[Floats, Bools]:
     """Root R (q, d) of the inverse R R' of the normal matrix, and which columns (q,) are zero."""
     scale = np.linalg.norm(jacobian, axis=0)
     unseen = scale < 1e-9
@@ -292,13 +293,8 @@ def gram_eigen(rows: Floats) -> tuple[Floats, Floats]:
 def with_imperfections(plain: Fit, random: RandomEffects, sizes: Floats, around: Members) -> Fit:
     """Return a fit whose last parameters are the imperfections, at their most likely values."""
     n, spread, q = len(random.columns), sizes[random.owners], plain.jacobian.shape[1]
-
-    def estimate(remainder: bool = True, prior: Prior = Prior.SIZES) -> Sizes:
-        raw, slopes = plain.residual[:n], plain.jacobian[:n]
-        return random.estimate(raw, slopes, sizes, plain.precisions, remainder, prior)
-
-    scaled = random.columns * spread
-    members = random.best(plain.residual[:n], sizes)
+    scaled, raw = random.columns * spread, plain.residual[:n]
+    members = random.best(raw, sizes)
     off = plain.residual.copy()
     off[:n] -= scaled @ members
     jacobian = np.zeros((len(off) + len(spread), q + len(spread)))
@@ -311,5 +307,5 @@ def with_imperfections(plain: Fit, random: RandomEffects, sizes: Floats, around:
         values=np.append(plain.values, members),
         residual=np.append(off, members),
         jacobian=jacobian,
-        built=Scatter(random, around, sizes, penalty, estimate),
+        built=Scatter(random, around, sizes, penalty, raw),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -46,10 +46,8 @@ class Fitter:
         A `BuiltPredictor` for an arm as built.
     whitener : Whitener
     nuisances : sequence of Nuisance
-    random : RandomEffects, optional
-        Default: none, the description is exact.
     imperfections : Imperfections, optional
-        Slopes of the markers by these.
+        Default: none, the description is exact.
     response : float
         Known relative error of the model's response, which widens intervals.
 
@@ -60,14 +58,13 @@ class Fitter:
         predictor: Predictor,
         whitener: Whitener,
         nuisances: Sequence[Nuisance] = (),
-        random: RandomEffects | None = None,
         imperfections: Imperfections | None = None,
         response: float = 0.0,
     ) -> None:
         self.response = response
         self.predictor, self.whitener = predictor, whitener
-        self.random = random or RandomEffects.none(whitener.size)
         self.imperfections = imperfections or Imperfections.none(predictor.dataset)
+        self.random = RandomEffects.of(self.imperfections, whitener)
         self.sizes = self.random.start  # (K,) of the running fit
         self.nuisances = tuple(nuisances)
         self.linearise_around({})
@@ -158,7 +155,7 @@ class Fitter:
         """
         if not fit.as_built or not fit.frees:
             return fit
-        sizes = fit.built.estimate(prior=Prior.LOGARITHMS).values
+        sizes = fit.estimate(prior=Prior.LOGARITHMS).values
         self.resume(fit)
         return self.fit(fit.frees, fit.point, sizes=sizes)
 
@@ -241,16 +238,26 @@ class Fitter:
 
         Where derivatives of a neighbour suffice, `near` spares those at the fit.
         """
-        plain = search.result(near)
+        slopes, markers = search.derivative(near), search.markers
         if self.around:
             self.predictor.around = {}
             try:
                 described = self.predictor.markers(search.point, near=search.settled)
             finally:
                 self.predictor.around = self.around
-            plain = plain if described is None else replace(plain, markers=described)
-        described = np.array([self.predictor.value(free) for free in search.frees])
-        plain = replace(plain, response=self.response, described=described)
+            markers = markers if described is None else described
+        plain = Fit(
+            search.frees,
+            search.nuisances,
+            search.values,
+            search.raw,
+            slopes,
+            markers,
+            response=self.response,
+            described=np.array([self.predictor.value(free) for free in search.frees]),
+            settled=search.settled,
+            tangent=search.tangent,
+        )
         return with_imperfections(plain, self.random, self.sizes, self.around)
 
     def linearise_around(self, members: Members) -> None:

@@ -14,15 +14,13 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
-import numpy.typing as npt
 
-from ..common.arrays import RESOLUTION, Floats
+from ..common.arrays import RESOLUTION, Floats, Ints
 from ..data import DataSet
-from ..model.derivatives import DIFFERENCE_STEP, Entries, Move
+from ..model.derivatives import Entries, Move
 from ..model.shape import ShapeBatch
 from ..robot import Robot
 from ..robot.description import tendon_offsets
-from ..robot.estimates import natural_sizes
 from .predict import CELLS, Conditions, Point, Predictor, SettledShapes
 
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
@@ -45,7 +43,6 @@ PLAUSIBLE_LENGTH = 0.2  # [m] of an arm; of a longer one lengths grow because it
 STEP = 1e-6  # [1], [rad], [m] of differences without solving, because rounding is 1e-16
 BEND_MAX_RAD = 0.5  # [rad] of one cell, else the whole arm would be wrong: docs/inference.md
 REST = 'pre_curvature'  # the effect whose parameters are the bends at rest
-PUSH = 'point_load'  # the effect of a force at a place along the arm
 Members = Mapping[str, Floats]  # kind -> size of each of its members
 
 
@@ -78,7 +75,7 @@ class Imperfections:
         return cls((), np.zeros((0, *dataset.mean.shape)))
 
     @cached_property
-    def owners(self) -> npt.NDArray[np.int64]:
+    def owners(self) -> Ints:
         """Index (q,) of the kind of each column."""
         lengths = np.array([len(kind) for kind in self.kinds], dtype=np.int64)
         return np.repeat(np.arange(len(self.kinds)), lengths)
@@ -282,21 +279,6 @@ def member_moves(arm: BuiltPredictor, point: Point, kinds: Sequence[Kind]) -> Fl
         return _differences(arm, point, named)
     arm.around = {k.name: np.zeros(len(k)) + arm.around.get(k.name, 0.0) for k in kinds}
     return _slopes(arm, point, lambda part: [arm.member(name, i, part) for name, i, _ in named])
-
-
-def pushes(predictor: Predictor, point: Point, arc_lengths: Floats) -> Floats | None:
-    """
-    Return the slopes of the markers by forces at places along the arm, (n, 3, P, J, 3) [m/N].
-
-    None where the model has no equilibrium or remembers, or where a force along the arm is
-    described already.
-    """
-    robot = predictor.robot
-    if predictor.model.remembers or PUSH in robot.effects or predictor.markers(point) is None:
-        return None
-    effect = predictor.model.catalogue[PUSH].sized(natural_sizes(robot))
-    step = DIFFERENCE_STEP * effect.parameters[1].typical
-    return forces_along(predictor, point, PUSH, step, arc_lengths)
 
 
 def forces_along(

@@ -167,14 +167,9 @@ def _along(fit: Fit, i: int, end: float) -> tuple[Point, Members, float]:
     """
     rates, q = fit.covariance[:, i] / fit.covariance[i, i], len(fit.all_frees)
     moved, units = np.split(fit.values + np.nan_to_num(rates) * (end - fit.values[i]), [q])
-    lows = [f.parameter.low for f in fit.frees] + [-np.inf] * len(fit.nuisances)
-    highs = [f.parameter.high for f in fit.frees] + [np.inf] * len(fit.nuisances)
-    moved = np.clip(moved, lows, highs)
-    prior = [
-        (value - n.centre) / n.spread
-        for value, n in zip(moved[len(fit.frees) :], fit.nuisances, strict=True)
-    ]
     point = dict(zip(fit.all_frees, moved.tolist(), strict=True))
+    point |= {free: free.clip(point[free]) for free in fit.frees}
+    prior = [(point[n.free] - n.centre) / n.spread for n in fit.nuisances]
     members = fit.built.random.named(units, fit.built.sizes)
     return point, members, float(np.sum(np.square(prior)))
 

@@ -15,12 +15,12 @@ from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg.lapack import dpotrf, dtrtri
 
-from ..common.arrays import Floats
+from ..common.arrays import Floats, Ints
 from ..common.estimation import STEP_LENGTHS
-from .imperfections import KINDS_WITH_FEW_MEMBERS, REMAINDER, Kind, Members
+from .imperfections import KINDS_WITH_FEW_MEMBERS, REMAINDER, Imperfections, Kind, Members
+from .noise import Whitener
 from .statistics import normal_cdf
 
 NEGLIGIBLE = 0.01  # [1] of a plausible size, or of the noise, because nobody measures so little
@@ -317,9 +317,7 @@ class RandomEffects:
     plausible one.
     """
 
-    def __init__(
-        self, columns: Floats, owners: npt.NDArray[np.int64], kinds: Sequence[Kind]
-    ) -> None:
+    def __init__(self, columns: Floats, owners: Ints, kinds: Sequence[Kind]) -> None:
         """
         Take the columns.
 
@@ -348,9 +346,9 @@ class RandomEffects:
         self._roots: dict[bytes, Floats] = {}  # of the last sizes
 
     @classmethod
-    def none(cls, rows: int) -> RandomEffects:
-        """Return the random effects of an exact arm: no kinds, for so many whitened values."""
-        return cls(np.zeros((rows, 0)), np.zeros(0, dtype=np.int64), ())
+    def of(cls, built: Imperfections, whitener: Whitener) -> RandomEffects:
+        """Return those of an arm, by the slopes of the markers; an exact one has no kinds."""
+        return cls(whitener.white(built.moves).T, built.owners, built.kinds)
 
     @property
     def start(self) -> Floats:

@@ -12,17 +12,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from ..common.arrays import RESOLUTION, Floats
+from ..common.arrays import RESOLUTION, Bools, Floats, Ints
 from ..common.estimation import STEP_LENGTHS
 from ..data import DataSet
 from ..robot.inputs import noise_scales
 from .predict import Point, Predictor, SettledShapes, mean_inputs
 from .statistics import chi2_isf, minimum, rms
 
-BoolArray = npt.NDArray[np.bool_]
-Indices = npt.NDArray[np.intp]
 # [1] relative variance, or singular value, below which a cause is left out, because it changes no
 # weight by more than a thousandth
 NEGLIGIBLE = 1e-3
@@ -138,7 +135,7 @@ class Whitener:
         """Number N of whitened values."""
         return int(self._visible.sum())
 
-    def without(self, postures: Sequence[int] | npt.NDArray[np.int64]) -> Whitener:
+    def without(self, postures: Sequence[int] | Ints) -> Whitener:
         """Return the same whitener with some postures weighted zero."""
         other = Whitener(*self._noise, *self._errors[1:])
         other._visible = self._visible.copy()
@@ -163,7 +160,7 @@ class Whitener:
         return np.where(seen > 0, squares, np.nan)
 
     @property
-    def owners(self) -> npt.NDArray[np.int64]:
+    def owners(self) -> Ints:
         """Posture (N,) that each whitened value belongs to."""
         return np.repeat(np.arange(len(self._visible)), self._visible.sum(axis=1))
 
@@ -207,7 +204,7 @@ def _model_errors(dataset: DataSet, accuracy: float | Floats, rough: float | Flo
     return np.asarray(smooth * common_error(dataset, 1.0) + own * np.eye(3 * len(dataset.markers)))
 
 
-def _factored(blocks: Floats, visible: BoolArray) -> tuple[Floats, Floats]:
+def _factored(blocks: Floats, visible: Bools) -> tuple[Floats, Floats]:
     """Return triangular roots (P, n, n) of what is visible, and logarithms of determinants."""
     both = visible[:, :, None] & visible[:, None]
     root = np.linalg.cholesky(np.where(both, blocks, np.eye(visible.shape[1]) * ~both))
@@ -240,7 +237,7 @@ def likely(
     noise: Noise,
     slopes: Floats,
     off: Floats,
-    held: Sequence[int] | npt.NDArray[np.int64] = (),
+    held: Sequence[int] | Ints = (),
 ) -> tuple[float, float]:
     """
     Return the sizes [m] under which measured minus model `off` (P, J, 3) [m] is most likely.
@@ -321,7 +318,7 @@ def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
     return Noise(position, trial, dataset.setting_noise, total, 'trials', shift)
 
 
-def _complete(mask: BoolArray) -> tuple[Indices, Indices]:
+def _complete(mask: Bools) -> tuple[Ints, Ints]:
     """
     Return trials and markers of a posture, of which every reading (Q, J) is there.
 

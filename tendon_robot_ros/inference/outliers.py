@@ -22,9 +22,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from ..common.arrays import RESOLUTION, Floats
+from ..common.arrays import RESOLUTION, Bools, Floats, Ints
 from ..common.errors import NoEquilibriumError
 from ..common.words import listed
 from ..data import DataSet
@@ -32,8 +31,6 @@ from .noise import NEGLIGIBLE, input_slopes
 from .predict import Point, Predictor
 from .statistics import RARE, chi2_isf, f_isf
 
-Bools = npt.NDArray[np.bool_]
-Counts = npt.NDArray[np.int64]
 FALSE_OUTLIER_PROBABILITY = RARE  # of the most extreme of all readings, or of all trials
 # [1] trials of a posture, and readings of a marker that agree, because of two that do not nobody
 # knows which one is off
@@ -97,7 +94,7 @@ def contradicted(moves: Floats, slopes: Floats) -> tuple[Bools, Bools]:
     return out & visible & ~trials[..., None], trials
 
 
-def outlier_limits(sizes: Floats, freedom: Counts) -> Floats:
+def outlier_limits(sizes: Floats, freedom: Ints) -> Floats:
     """
     Return the sizes (...) beyond which one is an outlier, from the robust spread of all.
 
@@ -110,7 +107,7 @@ def outlier_limits(sizes: Floats, freedom: Counts) -> Floats:
     return limits
 
 
-def _squared_limits(freedom: Counts) -> Floats:
+def _squared_limits(freedom: Ints) -> Floats:
     """Return the limits (...) of sums of squares of unit spread; infinite for no freedom."""
     limits, known = np.full(freedom.shape, np.inf), freedom[freedom > 0]
     for k in np.unique(known).tolist():
@@ -119,7 +116,7 @@ def _squared_limits(freedom: Counts) -> Floats:
     return limits
 
 
-def _spread(sizes: Floats, freedom: Counts) -> float:
+def _spread(sizes: Floats, freedom: Ints) -> float:
     """Return the spread of one value, of which sizes are the norms of `freedom` each."""
     valid = np.isfinite(sizes) & (freedom > 0)
     known, which = np.unique(freedom[valid], return_inverse=True)
@@ -132,7 +129,7 @@ class _Deviations:
     """Residuals of the fit of a posture; 0 degrees of freedom where there is no information."""
 
     sizes: Floats  # (Q, J) [m] roots of d
-    freedom: Counts  # (Q, J)
+    freedom: Ints  # (Q, J)
     surely: Floats  # (Q, J) [1] fraction of a size that remains if the slopes are wrong
     moved: Floats  # (Q,) [m²] square of what inputs do, from the mean of the others
     strengths: Floats  # (Q, m) [m²] squares g²; 0: unknown
@@ -241,8 +238,8 @@ UNSETTLED_FRACTION_MAX = 0.25
 class Outliers:
     """Readings and trials that the other trials contradict."""
 
-    readings: npt.NDArray[np.bool_]  # (P, Q, J) single marker readings
-    trials: npt.NDArray[np.bool_]  # (P, Q) whole trials
+    readings: Bools  # (P, Q, J) single marker readings
+    trials: Bools  # (P, Q) whole trials
     distance: Floats  # (P, Q, J) [m] from the prediction by the other trials
 
     @property

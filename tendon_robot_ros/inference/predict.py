@@ -7,9 +7,8 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from ..common.arrays import Floats
+from ..common.arrays import Floats, Ints
 from ..common.errors import EffectError, TendonRobotError
 from ..data import DataSet, Part
 from ..data.visits import Visits
@@ -26,7 +25,7 @@ from ..robot import Robot
 class Conditions:
     """Known loads in some of the postures, as declared by the data set."""
 
-    rows: npt.NDArray[np.int64]
+    rows: Ints
     gravity: Floats  # (3,) [m/s²]
     known: Mapping[tuple[str, str], float]  # (effect, parameter) -> value, whatever is freed
 
@@ -129,6 +128,10 @@ class FreeParameter:
         """Name within its effect, as in files; see `common.words.spoken` for sentences."""
         return f'{self.parameter.name}[{self.label}]' if self.label else self.parameter.name
 
+    def clip(self, value: float) -> float:
+        """Return a value within the bounds of a fit."""
+        return float(np.clip(value, self.parameter.low, self.parameter.high))
+
 
 def free_parameters(effect: Effect, robot: Robot) -> tuple[FreeParameter, ...]:
     """
@@ -155,7 +158,6 @@ def free_parameters(effect: Effect, robot: Robot) -> tuple[FreeParameter, ...]:
 
 
 Point = Mapping[FreeParameter, float]
-Rows = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,7 @@ class SettledShapes:
     state: Floats  # (P, 3n) [rad], bends and twists
     slopes: WireSlopes | None = None  # by the tensions, where wire pulls are commanded
 
-    def of(self, rows: npt.NDArray[np.int64]) -> SettledShapes:
+    def of(self, rows: Ints) -> SettledShapes:
         """Return those of some postures."""
         slopes = None if self.slopes is None else self.slopes.of(rows)
         return SettledShapes(self.tensions[rows], self.state[rows], slopes)
@@ -217,7 +219,7 @@ class Predictor:
 
     def start(self, free: FreeParameter) -> float:
         """Value in the description, moved inside the bounds of a fit."""
-        return float(np.clip(self.value(free), free.parameter.low, free.parameter.high))
+        return free.clip(self.value(free))
 
     def markers(
         self,
@@ -304,7 +306,7 @@ class Predictor:
             if by_pulls:
                 moves += [Move.of_tension(j, start.tensions) for j in range(m)]
 
-            def pulls_and_markers(shapes: ShapeBatch, rows: Rows = rows) -> Floats:
+            def pulls_and_markers(shapes: ShapeBatch, rows: Ints = rows) -> Floats:
                 """Return (k b, m + 3 J) [m], pulls beyond the requested ones."""
                 passed = transmitted(self.model, self.given(self.inputs)[rows], None)
                 gaps = shapes.pulls.reshape(-1, *passed.shape) - passed
@@ -459,7 +461,7 @@ class Predictor:
         remembered = self.visits is not None and self.remembers
         return self.visits.among(part.rows) if remembered and self.visits else None
 
-    def last_visits(self, part: Conditions) -> npt.NDArray[np.int64] | slice:
+    def last_visits(self, part: Conditions) -> Ints | slice:
         """Return the indices of the settled shapes of a part that belong to its postures."""
         visits = self._visits(part)
         return slice(None) if visits is None else visits.last

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
 from ..common.arrays import Floats
-from .fit import Fit, Nuisance
+from .fit import Nuisance
 from .noise import Whitener
 from .predict import FreeParameter, Point, Predictor, SettledShapes, Tangent
 
@@ -21,8 +20,7 @@ DIFFERENCE_STEP = 0.02  # [1] of a typical size or input, solved for, because la
 def sized(free: FreeParameter, factor: float, predictor: Predictor) -> float:
     """Return a value of so many typical sizes; one that only shapes the others is as described."""
     own = free.parameter
-    size = predictor.value(free) if own.has_default else factor * own.typical
-    return float(np.clip(size, own.low, own.high))
+    return free.clip(predictor.value(free) if own.has_default else factor * own.typical)
 
 
 class Weighs(Protocol):
@@ -267,9 +265,3 @@ class Search:
         self.fresh = False
         if far.any():
             self.slopes = None
-
-    def result(self, near: bool = False) -> Fit:
-        """Return the fit at the best point; `near`: see `derivative`."""
-        raw, slopes = self.raw, self.derivative(near)
-        found = Fit(self.frees, self.nuisances, self.values, raw, slopes, self.markers)
-        return replace(found, settled=self.settled, tangent=self.tangent)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, fields, replace
@@ -45,47 +45,6 @@ NOISE_UNKNOWN = (
     'the noise of the tracker'
 )
 Starts = Mapping[str, Fit | Point]
-
-
-def race(
-    fitter: Fitter, candidates: Sequence[Candidate], starts: Starts, ended: Callable[[int], None]
-) -> list[tuple[Candidate, Fit]]:
-    """
-    Fit candidates from `starts` by their labels; those without equilibrium drop out.
-
-    Round by round, a fit stops if its score, less its expected further gain, is more than
-    `NEAR_SCORE` behind the best one. `ended` is told after every round how many have ended.
-    """
-    descents, fits = dict[int, Descent](), list[tuple[Candidate, Fit]]()
-    for i, candidate in enumerate(candidates):
-        with suppress(*FAILURES):
-            search = fitter.search(candidate.frees, starts.get(candidate.label))
-            descents[i] = Descent(fitter, search)
-
-    def score(i: int) -> float:
-        return descents[i].place.deviance + 2.0 * len(candidates[i].frees)
-
-    racing = list(descents)
-    while racing:
-        for i in racing:
-            try:
-                if not descents[i].converged:  # an exact arm's first search was all
-                    descents[i].go_on()
-            except FAILURES:
-                del descents[i]
-        limit = min(map(score, descents), default=np.inf) + NEAR_SCORE
-        racing = [
-            i
-            for i, descent in descents.items()
-            if i in racing
-            and not descent.converged
-            and score(i) - GAINS_TO_COME * descent.gain <= limit
-        ]
-        ended(len(candidates) - len(racing))
-    for i, descent in descents.items():
-        with suppress(*FAILURES):
-            fits.append((candidates[i], descent.fit()))
-    return fits
 
 
 @dataclass(frozen=True)
@@ -132,11 +91,6 @@ class Question:
         return candidates_of(self.robot, self.catalogue)
 
     @property
-    def accuracy(self) -> float:
-        """Declared error [m] of the model; 0: none is."""
-        return self.dataset.accuracy or 0.0
-
-    @property
     def whole(self) -> DataSet:
         """The data set, the postures of a long recording included that are not used."""
         return self.recorded if self.dataset.thinned_from else self.dataset
@@ -152,8 +106,7 @@ class Question:
         NoEquilibriumError
 
         """
-        session = self.settled().weigh()
-        return session.without(find_outliers(session.predictor, {}))
+        return self.settled().weigh().without_outliers()
 
     def settled(self) -> Question:
         """
@@ -198,14 +151,13 @@ class Question:
             effects = arm.model.implicit_effects
             raise NoEquilibriumError(f'a posture of {self.dataset.name}', effects, np.inf)
         arm.around = {}
-        random = _whitened(built, whitener)
         own = {one.name: getattr(self, one.name) for one in fields(Question)}
-        return Session(**own, noise=noise, whitener=whitener, imperfections=built, random=random)
+        return Session(**own, noise=noise, whitener=whitener, imperfections=built)
 
     @property
     def model_error(self) -> Floats | float:
         """Return the error [m] of the model, of each posture (P,) or of all, that is known."""
-        accuracy = self.accuracy if self.use_accuracy else 0.0
+        accuracy = self.dataset.accuracy or 0.0 if self.use_accuracy else 0.0
         reference = self.dataset.reference
         known = self.robot.model_error or 0.0 if reference is None else reference.doubt
         return np.maximum(known, accuracy)
@@ -225,10 +177,6 @@ class Question:
         return predictor, predictor.markers({})
 
 
-def _whitened(built: Imperfections, whitener: Whitener) -> RandomEffects:
-    return RandomEffects(whitener.white(built.moves).T, built.owners, built.kinds)
-
-
 def predictors_of(
     dataset: DataSet, robot: Robot, catalogue: Catalogue
 ) -> tuple[Predictor, Predictor]:
@@ -245,7 +193,6 @@ class Session(Question):
     noise: Noise
     whitener: Whitener
     imperfections: Imperfections
-    random: RandomEffects
 
     def growing(self, fit: Fit) -> Session:
         """
@@ -261,30 +208,31 @@ class Session(Question):
         off = self.whitener.white(self.dataset.mean - fit.markers)
 
         def cost(steady: float) -> float:
-            random = _whitened(self.imperfections.growing(distances, steady), self.whitener)
+            grown = self.imperfections.growing(distances, steady)
+            random = RandomEffects.of(grown, self.whitener)
             return random.estimate(off, np.zeros((len(off), 0)), fit.built.sizes).deviance
 
         steady, least = minimum(cost, 0.0, 1.0, STEADY_PRECISION)
         if cost(1.0) - least < VARIANCE_GAIN_MIN:
             return self
-        built = self.imperfections.growing(distances, steady)
-        return replace(self, imperfections=built, random=_whitened(built, self.whitener))
+        return replace(self, imperfections=self.imperfections.growing(distances, steady))
 
-    def without(self, outliers: Outliers) -> Session:
+    def without_outliers(self) -> Session:
         """Exclude measurements that the other trials contradict, and weigh the others."""
+        outliers = find_outliers(self.predictor, {})
         session = replace(self, outliers=outliers)
         return session.about(outliers.without(self.dataset)).weigh() if outliers.any else session
 
     @cached_property
     def fitter(self) -> Fitter:
         """Fitter with the weights of the session."""
-        weights = self.whitener, self.nuisances, self.random, self.imperfections
+        weights = self.whitener, self.nuisances, self.imperfections
         return Fitter(self.arm, *weights, self.response_error)
 
     @property
-    def freedom(self) -> float:
-        """Degrees of freedom behind the noise."""
-        return self.noise.freedom
+    def random(self) -> RandomEffects:
+        """The imperfections, whitened."""
+        return self.fitter.random
 
     def floor_with(self, sizes: Floats) -> float:
         """Return the expected rms [m] of a perfect model, imperfections having the sizes (K,)."""
@@ -319,7 +267,7 @@ class Session(Question):
 
     def rank(self, candidate: Candidate, fit: Fit) -> Ranked:
         """Return a candidate with its fit, for a ranking."""
-        return Ranked(candidate, fit, self.freedom, self.whitener.owners)
+        return Ranked(candidate, fit, self.noise.freedom, self.whitener.owners)
 
     def fit_all(
         self, candidates: Sequence[Candidate], starts: Starts | None = None, what: str = 'effects'
@@ -327,14 +275,40 @@ class Session(Question):
         """
         Fit candidates; those without equilibrium drop out.
 
-        `starts` are fits of the candidates or of a part of their effects. Of an arm as built fits
-        that are far behind the best stop early.
+        `starts`, by label, are fits of the candidates or of a part of their effects. Round by
+        round, a fit stops if its score, less its expected further gain, is more than `NEAR_SCORE`
+        behind the best one.
         """
-        count = len(candidates)
-        fits = race(
-            self.fitter, candidates, starts or {}, lambda ended: self.progress(what, ended, count)
-        )
-        return [self.rank(*one) for one in fits]
+        descents, fits, starts = dict[int, Descent](), list[Ranked](), starts or {}
+        for i, candidate in enumerate(candidates):
+            with suppress(*FAILURES):
+                search = self.fitter.search(candidate.frees, starts.get(candidate.label))
+                descents[i] = Descent(self.fitter, search)
+
+        def score(i: int) -> float:
+            return descents[i].place.deviance + 2.0 * len(candidates[i].frees)
+
+        running = list(descents)
+        while running:
+            for i in running:
+                try:
+                    if not descents[i].converged:  # an exact arm's first search was all
+                        descents[i].go_on()
+                except FAILURES:
+                    del descents[i]
+            limit = min(map(score, descents), default=np.inf) + NEAR_SCORE
+            running = [
+                i
+                for i, descent in descents.items()
+                if i in running
+                and not descent.converged
+                and score(i) - GAINS_TO_COME * descent.gain <= limit
+            ]
+            self.progress(what, len(candidates) - len(running), len(candidates))
+        for i, descent in descents.items():
+            with suppress(*FAILURES):
+                fits.append(self.rank(candidates[i], descent.fit()))
+        return fits
 
     def fit_joint(
         self, candidates: Sequence[Candidate], starts: Mapping[str, Fit], what: str
@@ -402,11 +376,6 @@ class Session(Question):
         fitter.measured = small.fit.markers  # these were predicted without imperfections
         start, sizes = large.fit.point, small.fit.built.sizes
         return fitter.fit(large.candidate.frees, start, sizes=sizes).chi2 < TIE_SCORE
-
-    def twin_of(self, quantity: str) -> str | None:
-        """Return the effect with the same influence as a declared quantity; None without one."""
-        twin = self.catalogue.twin(quantity)
-        return None if twin is None else twin[0]
 
 
 def better(first: Sequence[Ranked], refitted: Sequence[Ranked]) -> list[Ranked]:

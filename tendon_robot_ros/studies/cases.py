@@ -242,7 +242,7 @@ def is_visible(case: Case, sim: Simulated) -> bool:
     built = None if case.exact else imperfections(BuiltPredictor(before), {})
     if built is None:
         return float(white @ white) > VISIBLE_FROM_CHI2
-    random = RandomEffects(whitener.white(built.moves).T, built.owners, built.kinds)
+    random = RandomEffects.of(built, whitener)
     sizes = case.level * np.where(np.isfinite(random.plausible), random.plausible, 0.0)
     unexplained = random.lift(random.root(sizes), white)
     return float(unexplained @ unexplained) > VISIBLE_FROM_CHI2
