@@ -18,7 +18,8 @@ def untested(robot=ROBOT, **options):
     """Return what the default postures of a robot do not show, with the reason."""
     dataset = measured(robot, **options)
     session = Question.of(dataset, robot, CATALOGUE).weigh()
-    _, rest = session.split_tested({})
+    seen = session.tested(session.candidates, {})
+    rest = [c for c in session.candidates if c not in seen]
     return {c.names[0]: why_untested(CATALOGUE[c.names[0]], dataset, robot) for c in rest}
 
 

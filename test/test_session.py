@@ -12,7 +12,7 @@ ROBOT = simulated.robot()
 
 def fitted(hidden, robot=ROBOT):
     session = Question.of(measured(robot, hidden, count=12), robot, CATALOGUE).weigh()
-    tested, _ = session.split_tested({})
+    tested = session.tested(session.candidates, {})
     return session, {r.candidate.names[0]: r for r in session.fit_all(tested)}
 
 

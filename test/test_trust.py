@@ -96,7 +96,7 @@ def test_tolerances_and_imperfections_hide_their_twins():
     sizes = []
     for dataset in (exact, loose, built):
         session = Question.of(dataset, dataset.robot, CATALOGUE).weigh()
-        tested, _ = session.split_tested({})
+        tested = session.tested(session.candidates, {})
         seen = smallest_sizes(session.fit_all(tested), session.nuisances)
         sizes.append({one.free.effect: one.size for one in seen})
     assert sizes[1]['backbone_stiffness'] > 0.15 > 5.0 * sizes[0]['backbone_stiffness']
@@ -111,7 +111,7 @@ def test_what_is_hidden_is_a_size_away_from_where_nothing_acts(tmp_path):
     (tmp_path / 'drum.py').write_text(DRUM)
     dataset = measured(ROBOT, count=5)
     session = Question.of(dataset, ROBOT, load_catalogue([str(tmp_path / 'drum.py')])).weigh()
-    tested, _ = session.split_tested({})
+    tested = session.tested(session.candidates, {})
     seen = smallest_sizes(session.fit_all(tested), session.nuisances)
     drum = next(one for one in seen if one.free.effect == 'drum')
     assert drum.size < 0.1

@@ -16,7 +16,7 @@ from ..common.processes import one_thread
 from ..common.results import TextResult, make_frame, plain
 from ..data import DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
-from ..inference.candidates import Candidate, is_tested, why_untested
+from ..inference.candidates import Candidate, why_untested
 from ..inference.crossval import Errors, Written, errors_on, model_error_of, written
 from ..inference.fit import Fit
 from ..inference.intervals import LoadVector, Value, loads_of, values_with_intervals
@@ -387,10 +387,7 @@ def _candidate(session: Session, name: str, known: Collection[str]) -> Candidate
 def _refuse_untested(session: Session, candidate: Candidate, fit: Fit | None) -> None:
     """Raise InputError where the postures do not show an effect."""
     effect = session.catalogue[candidate.names[0]]
-    point = {} if fit is None else fit.point
-    markers = session.predictor.markers(point)
-    weighed = session.predictor, session.whitener, point
-    if markers is not None and is_tested(candidate, *weighed, markers):
+    if session.tested([candidate], {} if fit is None else fit.point):
         return
     reason = why_untested(effect, session.dataset, session.robot)
     raise InputError(

@@ -73,12 +73,6 @@ class AsFound:
         return described_by(self.session, self.fit, beside=True)
 
     @cached_property
-    def markers(self) -> Floats:
-        """Markers (P, J, 3) [m] that this description predicts; nan without equilibrium."""
-        shown = written_markers(self.session.fitter, self.fit, self.fit.values)
-        return np.full_like(self.fit.markers, np.nan) if shown is None else shown
-
-    @cached_property
     def left_out(self) -> Floats:
         """Squared errors (P, J) [m²] of postures left out in turn."""
         return left_out_squares(self.session.fitter, self.fit, folds=self.search.folds)
@@ -88,7 +82,8 @@ class AsFound:
         """Whether it lowers the left-out error of its search by more than the standard error."""
         before = self.state.left_out[:, None]
         predicted = np.isfinite(self.left_out[np.isfinite(before[:, 0])]).any(axis=1)
-        if not (predicted.all() and np.isfinite(self.markers).all()):
+        written = written_markers(self.session.fitter, self.fit, self.fit.values)
+        if written is None or not predicted.all():
             return False  # a posture has no equilibrium
         gain, scatter = fall(before, self.left_out)
         return gain > scatter

@@ -105,7 +105,6 @@ class Patterns:
         # from its chi² would be no prior
         rows = fit.residual[fitter.whitener.size :][: len(fit.nuisances)]
         self.prior = float((rows**2).sum())
-        self.extra = fit.rank
 
     def white(self, markers: Floats) -> Floats:
         """Whitened residual for predicted markers, without what imperfections explain."""
@@ -141,11 +140,6 @@ class Patterns:
         alone[:, p] = change[:, p]
         return self.fitter.lift(-self.fitter.whitener.white(alone).T)
 
-    @property
-    def _first(self) -> int:
-        """Number of the model's cell 0: a base plate has none."""
-        return 1 - self.fitter.predictor.robot.plate_cells
-
     def soft_cell(self) -> Pattern | None:
         """Fit one cell with its own stiffness: its place and softness."""
         n = self.fitter.predictor.model.arrays.chain.n
@@ -166,7 +160,8 @@ class Patterns:
         size = float(np.exp(fit.values[len(self.fit.frees)]))
         alike_below = fit.deviance + chi2_isf(SIGNIFICANCE, 1)
         near = [row for row in fits if _deviance(row) < alike_below]
-        alike, place = tuple(sorted(cell + self._first for _, cell in near)), i + self._first
+        first = 1 - self.fitter.predictor.robot.plate_cells  # number of cell 0: a plate has none
+        alike, place = tuple(sorted(cell + first for _, cell in near)), i + first
         by_chance = independent(columns) * self._chance(self.fit, fit.deviance, fit.markers, 1)
         parameters = fit.rank + 1
         return Pattern('soft_cell', fit.deviance, parameters, by_chance, place, size, alike=alike)
@@ -284,7 +279,7 @@ class Patterns:
         return Pattern(
             'gain_per_posture',
             deviance,
-            self.extra + len(inputs),
+            self.fit.rank + len(inputs),
             self._chance(self.fit, deviance, markers, len(inputs)),
             values=tuple((gains - 1.0).tolist()),
         )
@@ -310,7 +305,7 @@ class Patterns:
         return Pattern(
             'rotation_per_posture',
             deviance,
-            self.extra + int(parameters),
+            self.fit.rank + int(parameters),
             self._chance(self.fit, deviance, self.markers + turned, int(parameters)),
             values=tuple(angles.tolist()),
         )

@@ -321,7 +321,8 @@ def gather(question: Question) -> Fits:
     """
     session = question.weigh()
     base = session.base_fit()
-    tested, not_tested = session.split_tested(base.point)
+    tested = session.tested(session.candidates, base.point)
+    not_tested = [c for c in session.candidates if c not in tested]
     singles, reversed_once = session.fit_all(tested), False
     for iteration in range(ROUNDS_MAX):
         if not singles:
@@ -510,10 +511,9 @@ def extended(session: Session, current: Ranked) -> list[Ranked]:
 
     Of a long recording with the few that promise most; with none where all would not suffice.
     """
-    tested, _ = session.split_tested(current.fit.point)
     larger = [
         current.candidate.with_(c)
-        for c in tested
+        for c in session.tested(session.candidates, current.fit.point)
         if not set(current.names) & set(c.names)
         and not overlaps(session.catalogue, c.names[0], current.names)
     ]

@@ -168,7 +168,7 @@ def is_tested(
     whitener: Whitener,
     point: Point,
     markers: Floats,
-    near: SettledShapes | None = None,
+    near: SettledShapes | None,
 ) -> bool:
     """
     Return whether a typical size of the effect changes the markers (P, J, 3) at a point.

@@ -116,8 +116,8 @@ def model_error_of(dataset: DataSet, squares: Floats, floor: float) -> float | N
     """
     Return the size at the tip [m] of the error of a model that left-out postures show.
 
-    By least squares, for an error whose square grows along the arm with the arc length, as
-    `noise.common_error`. None where they show nothing beyond the base.
+    By least squares, for an error whose square grows along the arm with the arc length, as that of
+    a `Whitener`. None where they show nothing beyond the base.
 
     Parameters
     ----------

@@ -31,9 +31,8 @@ ROUTES = 'tendon_routes'  # of the description: every tendon turned about the ax
 ANGLE_MAX = 1.0  # [rad] at the base, and to the tip, else a tendon would be its neighbour
 ANGLE_TYPICAL = 0.03  # [rad] 2°, because holes are drilled to a few tenths of a millimetre
 OF_THE_ARM = (PROFILE, ROUTES)
-DIGITS_OF_THE_ARM = (
-    9  # [1] of what is written, because errors are told of the arm as it was fitted
-)
+# [1] of what is written, because errors are told of the arm as it was fitted
+DIGITS_OF_THE_ARM = 9
 
 
 def with_values(

@@ -106,7 +106,7 @@ def remainders(predictor: Predictor) -> Floats:
     """
     Return columns (q, P, J, 3) of a remainder of 1 m sd at the tip, posture by posture.
 
-    An error that grows along the arm like a random walk, as `noise.common_error`: its
+    An error that grows along the arm like a random walk, as of a `Whitener`: its
     `REMAINDER_SHAPES` principal shapes in each direction.
     """
     dataset = predictor.dataset
@@ -143,6 +143,8 @@ class BuiltPredictor(Predictor):
         Return the kinds of imperfections; a declared registration is a parameter of the fit.
 
         Unless `every` is asked for, an arm that is described as exact has declared kinds only.
+        Under tensions misplaced holes act like gains. They widen intervals but not the test of an
+        effect, because both rarely add up; a declared gain includes them.
         """
         cells = self.robot.cell_names
         axis = self.axis
@@ -163,20 +165,10 @@ class BuiltPredictor(Predictor):
             usual = plausible * (larger if unit == 'm' else 1.0)
             size = float(known.get(KINK if name == ACROSS else name, usual))
             if size > 0.0:
-                kinds.append(Kind(name, unit, size, tuple(members), self._beside(name)))
+                holes = name == GAIN and name not in known and self.dataset.input == 'tension'
+                beside = float(known.get(HOLE, PLAUSIBLE_SIZES[HOLE][1])) if holes else 0.0
+                kinds.append(Kind(name, unit, size, tuple(members), beside))
         return tuple(kinds)
-
-    def _beside(self, name: str) -> float:
-        """
-        Return the sd of imperfections with the same influence as a kind: holes, under tensions.
-
-        Misplaced holes then act like gains. They widen intervals but not the test of an effect,
-        because both rarely add up; a declared gain includes them.
-        """
-        known = self.robot.tolerances
-        if name != GAIN or name in known or self.dataset.input != 'tension':
-            return 0.0
-        return float(known.get(HOLE, PLAUSIBLE_SIZES[HOLE][1]))
 
     def set_parameters(self, point: Point, part: Conditions) -> None:
         """Set the parameters and imperfections; see `Predictor.set_parameters`."""

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtri
@@ -143,16 +143,14 @@ class Likelihood:
         given = np.full(k, 1e-9) if weights is None else weights[known > 1e-9]
         self.ridge = np.diag(given / (1.0 if weights is None else known[known > 1e-9] ** 2))
         self._at: tuple[Floats, _Reduced] | None = None
-        self._beside: tuple[float, Floats, Floats, Floats, Floats, float] | None = None
+        self._beside = lru_cache(maxsize=1)(self._beside_remainder)
 
     def _reduced(self, v: Floats) -> _Reduced:
         """Return the matrices at variances (K,); those of the last variances are kept."""
         if self._at is not None and np.array_equal(self._at[0], v):
             return self._at[1]
         variance = 0.0 if self.kind is None else float(v[self.kind])
-        if self._beside is None or self._beside[0] != variance:
-            self._beside = variance, *self._beside_remainder(variance)
-        own, more, inner, shrunk, log = self._beside[1:]
+        own, more, inner, shrunk, log = self._beside(variance)
         s = np.sqrt(v)[self.owners]
         root = root_inverse(np.eye(len(s)) + s[:, None] * own * s)
         log = log - 2.0 * float(np.log(np.diag(root)).sum())
@@ -408,20 +406,14 @@ class RandomEffects:
         spread = sizes[self.owners]
         along = np.divide(self.best(shift, sizes), spread, where=spread > 0.0, out=0.0 * spread)
         turned = np.bincount(self.owners, along**2, len(self.kinds))
-        variance = float(turned @ self.variance_of_sizes(sizes) @ turned)
+        known = np.flatnonzero((sizes > 0.0) & ~self.few)  # the other sizes are fixed
+        work = Likelihood(self, np.zeros_like(shift), np.zeros((len(shift), 0)), None)
+        information = work.slopes(sizes**2).information[np.ix_(known, known)]
+        spread_of_sizes = 2.0 * np.linalg.pinv(information, hermitian=True)  # of the variances
+        variance = float(turned[known] @ spread_of_sizes @ turned[known])
         lifted = self.lift(self.root(sizes), shift)
         size = float(lifted @ lifted)
         return 2.0 * size**2 / variance if variance > 0.0 else np.inf
-
-    def variance_of_sizes(self, sizes: Floats) -> Floats:
-        """Return the covariance (K, K) of the estimated variances; zero where a size is fixed."""
-        known = np.flatnonzero((sizes > 0.0) & ~self.few)
-        rows = len(self.columns)
-        work = Likelihood(self, np.zeros(rows), np.zeros((rows, 0)), None)
-        information = work.slopes(sizes**2).information[np.ix_(known, known)]
-        covariance = np.zeros((len(sizes), len(sizes)))
-        covariance[np.ix_(known, known)] = 2.0 * np.linalg.pinv(information, hermitian=True)
-        return covariance
 
     def mixture(
         self, residual: Floats, slopes: Floats, sizes: Floats, weights: Floats | None = None

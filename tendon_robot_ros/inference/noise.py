@@ -196,12 +196,18 @@ def covariances(dataset: DataSet, noise: Noise, slopes: Floats) -> Floats:
 
 
 def _model_errors(dataset: DataSet, accuracy: float | Floats, rough: float | Floats) -> Floats:
-    """Return the covariances (P, 3 J, 3 J) [m²] of the errors of a model; see `Whitener`."""
+    """
+    Return the covariances (P, 3 J, 3 J) [m²] of the errors of a model; see `Whitener`.
+
+    What grows along the arm is a random walk, its variance proportional to the arc length.
+    """
+    height = dataset.arc_lengths / dataset.robot.length
+    walk = np.kron(1.0 / 3.0 * np.minimum.outer(height, height), np.eye(3))
     smooth, own = (
         np.square(np.broadcast_to(size, len(dataset.postures)))[:, None, None]
         for size in (accuracy, rough)
     )
-    return np.asarray(smooth * common_error(dataset, 1.0) + own * np.eye(3 * len(dataset.markers)))
+    return np.asarray(smooth * walk + own * np.eye(len(walk)))
 
 
 def _factored(blocks: Floats, visible: Bools) -> tuple[Floats, Floats]:
@@ -209,13 +215,6 @@ def _factored(blocks: Floats, visible: Bools) -> tuple[Floats, Floats]:
     both = visible[:, :, None] & visible[:, None]
     root = np.linalg.cholesky(np.where(both, blocks, np.eye(visible.shape[1]) * ~both))
     return root, 2.0 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
-
-
-def common_error(dataset: DataSet, accuracy: float) -> Floats:
-    """Covariance of an error of one posture that grows along the arm up to `accuracy` [m]."""
-    height = dataset.arc_lengths / dataset.robot.length
-    shared = accuracy**2 / 3.0 * np.minimum.outer(height, height)
-    return np.asarray(np.kron(shared, np.eye(3)))
 
 
 def relative_error(known: float, tips: Floats) -> float:

@@ -351,17 +351,13 @@ class Session(Question):
         from_base = self.fit_all(worse, {c.label: base for c in worse}, 'effects again')
         return better(fits, from_base) + [r for r in ranked if r.score > top]
 
-    def split_tested(self, point: Point) -> tuple[list[Candidate], list[Candidate]]:
-        """Return the candidates whose effect the postures show at a point, and the others."""
-        predictor, whitener = self.predictor, self.whitener
-        markers = predictor.markers(point)
-        near = predictor.settled
-        tested = [
-            c
-            for c in self.candidates
-            if markers is not None and is_tested(c, predictor, whitener, point, markers, near)
-        ]
-        return tested, [c for c in self.candidates if c not in tested]
+    def tested(self, candidates: Sequence[Candidate], point: Point) -> list[Candidate]:
+        """Return the candidates whose effect the postures show at a point."""
+        markers, weighed = self.predictor.markers(point), (self.predictor, self.whitener, point)
+        if markers is None:
+            return []
+        near = self.predictor.settled
+        return [c for c in candidates if is_tested(c, *weighed, markers, near)]
 
     def contains(self, large: Ranked, small: Ranked) -> bool:
         """Return whether the larger candidate can imitate the predictions of the smaller one."""

@@ -217,10 +217,6 @@ class ChangeWork:
             return there._effect(fit.change, fit.values)
         return None
 
-    def explains(self, fit: ChangeFit) -> bool:
-        """Whether the residuals of a change may be chance."""
-        return chi2_sf(fit.chi2, int(self.rows.sum())) > ODD_PROBABILITY
-
     def fit_from_afar(self, fit: ChangeFit) -> ChangeFit:
         """
         Fit an effect from several starts, plus and minus its usual size; return the best.
@@ -338,7 +334,8 @@ class ChangeFinder:
         except NoEquilibriumError:
             return ()
         fits = [fit for change in self.changes if (fit := work.fit(change)) is not None]
-        if not any(work.explains(fit) for fit in fits):
+        least = min((fit.chi2 for fit in fits), default=np.inf)
+        if chi2_sf(least, int(work.rows.sum())) <= ODD_PROBABILITY:  # none explains the postures
             fits = [work.fit_from_afar(fit) if fit.change.is_effect else fit for fit in fits]
         best, near_log = max(fit.log for fit in fits), np.log(ODD_PROBABILITY)
         near = [fit for fit in fits if fit.change.is_effect and fit.log > best + near_log]

@@ -102,7 +102,9 @@ class ContactObserver:
         self._frees = [named[f'force_{xyz}'] for xyz in 'xyz']
         self._place = named.get('arc_length')
         self._described = np.array([arm.described.value(free) for free in self._frees])
-        self._typical = self._frees[0].parameter.typical
+        self.step = DIFFERENCE_STEP * self._frees[0].parameter.typical  # [N] of a difference
+        # (PLACES,) [m] at which the cost is profiled; the last is the tip
+        self.places = np.arange(1, PLACES + 1) / PLACES * self.tip
         self._last = np.zeros(3), self.tip
         self.shapes: ShapeBatch | None = None  # the last one, start of the next equilibrium
         self.kept: _Motions | None = None  # of the last covariance
@@ -188,16 +190,6 @@ class ContactObserver:
         assert self.shapes is not None
         there = self.shapes.markers(np.array([place]), np.zeros((1, 3)))
         return np.asarray(self.arm.predictor.model.measured(there)[0, 0])
-
-    @property
-    def places(self) -> Floats:
-        """Places (PLACES,) [m] at which the cost is profiled; the last is the tip."""
-        return np.arange(1, PLACES + 1) / PLACES * self.tip
-
-    @property
-    def step(self) -> float:
-        """Step [N] of a difference."""
-        return DIFFERENCE_STEP * self._typical
 
     def prior(self, place: Floats | float) -> Floats:
         """
