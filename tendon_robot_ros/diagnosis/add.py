@@ -245,35 +245,28 @@ class Settled:
 
 
 def settle(session: Session, names: Sequence[str], start: Point | None = None) -> Settled:
-    """Fit effects together, weighed by the accuracy where they misfit beyond repeatability."""
+    """
+    Fit effects together, weighed by the accuracy where they misfit beyond repeatability.
+
+    Repeatability alone would give most weight to the postures with most trials and the markers
+    with least noise, although the model error is far larger. That refit is rejected where it
+    raises the error on left-out postures.
+    """
     session, fit = fit_effects(session, names, start)
     probability, fit = fit.probability(session.noise.freedom), session.fitter.for_values(fit)
     descriptions = written(session, fit)
     if probability <= P_SINGLE_MIN and session.dataset.accuracy:
-        session, fit, descriptions = _by_accuracy(session, names, fit, descriptions)
+        with suppress(NoEquilibriumError):
+            accurate = replace(session, use_accuracy=True).weigh(fit)
+            accurate, refitted = fit_effects(accurate, names, fit.point)
+            refitted = accurate.fitter.for_values(refitted)
+            other = written(accurate, refitted)
+            if other.left_out <= descriptions.left_out:
+                session, fit, descriptions = accurate, refitted, other
+        session = session if session.use_accuracy else session.weigh(fit)
     own = fit.probability(session.noise.freedom) if session.use_accuracy else probability
     scale = 1.0 if own > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
     return Settled(session, fit, descriptions, probability, scale)
-
-
-def _by_accuracy(
-    session: Session, names: Sequence[str], fit: Fit, descriptions: Written
-) -> tuple[Session, Fit, Written]:
-    """
-    Refit effects, weighed by the declared accuracy, where other effects act as well.
-
-    Repeatability alone would give most weight to the postures with most trials and the markers
-    with least noise, although the model error is far larger. The refit is rejected where it raises
-    the error on left-out postures.
-    """
-    with suppress(NoEquilibriumError):
-        accurate = replace(session, use_accuracy=True).weigh(fit)
-        accurate, refitted = fit_effects(accurate, names, fit.point)
-        refitted = accurate.fitter.for_values(refitted)
-        other = written(accurate, refitted)
-        if other.left_out <= descriptions.left_out:
-            return accurate, refitted, other
-    return session.weigh(fit), fit, descriptions
 
 
 def add_effect(

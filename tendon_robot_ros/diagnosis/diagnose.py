@@ -19,11 +19,11 @@ from ..inference.fitter import BEST_FEW, FAILURES
 from ..inference.predict import FreeParameter
 from ..inference.session import NOISE_UNKNOWN, Question, Session
 from ..robot import RobotLike
-from .marker_hypotheses import exchanged_in
+from .marker_hypotheses import exchanged
 from .next_measurement import propose
 from .report_rows import details_of, finding, fitted_errors, remainder_text, rows_of
 from .result import Diagnosis
-from .select import Concluded, Fits, gather
+from .select import gather
 from .setup_hypotheses import Mistake
 from .setup_mistakes import Explained, Mended, find_mistake, implausible, is_odd_fit, mended_rivals
 from .verdict import (
@@ -91,8 +91,9 @@ def diagnose(
         session = question.weigh()
     except InputError:
         return _cannot_judge(question, NOISE_UNKNOWN)
-    exchange = exchanged_in(session.predictor)  # else outliers may be exchanged markers
-    if exchange is not None:
+    markers = session.predictor.markers({})
+    exchange = None if markers is None else next(exchanged(session.predictor, markers), None)
+    if exchange is not None:  # else outliers may be exchanged markers
         return _mistaken(session, exchange)
     session = session.without_outliers()
     usual = session.usual_floor
@@ -182,6 +183,7 @@ def _judge(question: Question) -> Diagnosis:
     Judge the effects, mistakes of the set-up being excluded.
 
     A misfit beyond repeatability is judged again by the declared accuracy, where there is one.
+    The result has all numbers that reports read.
     """
     fits = gather(question)
     decision = fits.judge()
@@ -189,11 +191,6 @@ def _judge(question: Question) -> Diagnosis:
     if outside and question.dataset.accuracy and not question.use_accuracy:
         fits = gather(replace(question, use_accuracy=True))
         decision = fits.judge()
-    return _result(fits, decision)
-
-
-def _result(fits: Fits, decision: Concluded) -> Diagnosis:
-    """Return the diagnosis of a decision, with all numbers that reports read."""
     session, chosen = fits.session, decision.chosen
     errors = fitted_errors(session, None if chosen is None else fits.reported(chosen))
     if decision.verdict is Verdict.OUTSIDE_CATALOGUE and not errors.after <= errors.before:

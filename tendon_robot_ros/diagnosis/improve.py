@@ -49,7 +49,7 @@ from .add import Addition, more_at_work, settle, with_origin
 from .local_tests import faults_of, local_faults
 from .report_rows import arm_report, left_out
 from .result import AS_FOUND, Improvement, ImprovementStep, total
-from .stepwise import GROUPS_MIN, STEPS_MAX, Rates, State, Stepwise, grown, spread_of
+from .stepwise import GROUPS_MIN, STEPS_MAX, State, Stepwise, grown, spread_of
 from .verdict import P_SINGLE_MIN, TOLERANCE_SD_MAX
 
 Values = dict[str, dict[str, Value]]
@@ -153,7 +153,7 @@ class AsFound:
         """The fit with the parameters of the arm that joined the search."""
         fit, whitener = self.fit, self.session.whitener
         blocks = [block for block in self.state.blocks if block.label in OF_THE_ARM]
-        for joining in Rates(self.search.predictor, self.state).of(blocks):
+        for joining in self.search.rates(self.state, blocks):
             spread = spread_of(joining.block.frees)
             residual, jacobian = grown(fit, joining.moves, whitener, spread)
             fit = replace(fit, residual=residual, jacobian=jacobian)
@@ -190,7 +190,10 @@ def as_found(search: Stepwise, state: State) -> AsFound | None:
     Fit a state of a search again, with the arm as it is built; None without an equilibrium.
 
     A frame error of plausible size is treated as an imperfection, not as an effect: as a free
-    parameter it would absorb errors of kinks, whose size would then be underestimated.
+    parameter it would absorb errors of kinks, whose size would then be underestimated. The
+    imperfections have plausible sizes, where they are not larger: several effects that were
+    selected by the same measurements also explain part of what imperfections cause, so that the
+    estimated sizes, and with them the intervals, would be too small.
     """
     robot, before = search.written(state), search.robot
     names = [name for block in state.blocks for name in block.names if name not in OF_THE_ARM]
@@ -210,23 +213,11 @@ def as_found(search: Stepwise, state: State) -> AsFound | None:
         settled = settle(session, names, {})
     except (*FAILURES, NoEquilibriumError):
         return None
-    session = settled.session
-    return AsFound(search, state, session, _as_plausible(session, settled.fit), settled.scale)
-
-
-def _as_plausible(session: Session, fit: Fit) -> Fit:
-    """
-    Return a fit whose imperfections have plausible sizes, where they are not larger.
-
-    Several effects that were selected by the same measurements also explain part of what the
-    imperfections cause: the estimated sizes, and with them the intervals, would be too small.
-    """
-    if not fit.as_built:
-        return fit
+    session, fit = settled.session, settled.fit
     usual = np.nan_to_num(fit.built.random.plausible, posinf=0.0)
-    fitter = session.fitter
-    fitter.resume(fit)
-    return fitter.fit(fit.frees, fit.point, sizes=np.maximum(fit.built.sizes, usual))
+    session.fitter.resume(fit)
+    fit = session.fitter.fit(fit.frees, fit.point, sizes=np.maximum(fit.built.sizes, usual))
+    return AsFound(search, state, session, fit, settled.scale)
 
 
 @one_thread()

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -38,12 +38,10 @@ from ..inference.intervals import QUANTILE
 from ..inference.marginal import NEGLIGIBLE
 from ..inference.noise import Whitener
 from ..inference.predict import CELLS
+from ..inference.session import Session
 from ..inference.statistics import chi2_isf, false_discovery_control, normal_cdf, t_sf
 from ..robot import Robot
 from .verdict import FALSE_DISCOVERY_RATE, P_SEVERAL_MIN
-
-if TYPE_CHECKING:
-    from ..inference.session import Session
 
 IN_CELLS = (CELLS, KINK, ACROSS)
 IN_INPUTS = (GAIN, HOLE, ZERO)

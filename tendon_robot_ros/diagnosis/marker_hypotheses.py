@@ -137,12 +137,6 @@ def exchanged(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     )
 
 
-def exchanged_in(predictor: Predictor) -> Mistake | None:
-    """Return the exchange of two markers in the measurements, if there is one."""
-    markers = predictor.markers({})
-    return None if markers is None else next(exchanged(predictor, markers), None)
-
-
 def _distances(places: Floats) -> Floats:
     """Return the distances (..., J, J) [m] between markers (..., J, 3)."""
     return np.asarray(np.linalg.norm(places[..., :, None, :] - places[..., None, :, :], axis=-1))

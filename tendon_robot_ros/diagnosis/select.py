@@ -127,7 +127,7 @@ class Fits:
 
     def _found(self, known: Evidence, missing: Missing) -> dict[str, Any]:
         """Return a part of the evidence that is missing."""
-        session, found = self.session, dict[str, Any]()
+        session, base, found = self.session, self.base, dict[str, Any]()
         match missing.part:
             case 'wider':
                 near = [self.fit_of(one.names) for one in contenders(known.singles)]
@@ -143,11 +143,14 @@ class Fits:
                 if known.combined is not None:
                     found['combined'] = tuple(map(_numbers, self.joint))
             case 'patterns':
-                found['patterns'] = self._numbers(self.patterns, self.base)
+                found['patterns'] = self._numbers(self.patterns, base)
+            case 'rivals' if self.remembers:  # no pattern does
+                self.rivals, found['rivals'] = [], ()
             case 'rivals':
-                self.rivals = self._rivals(missing.score)
-                over = self.fit_of(missing.names).fit if missing.names else self.base
-                found['rivals'] = () if self.remembers else self._numbers(self.rivals, over)
+                close = base.deviance < missing.score + NEAR_SCORE  # else not fitted to the end
+                self.rivals = self.patterns if close else self.patterns_on(base, missing.score)
+                over = self.fit_of(missing.names).fit if missing.names else base
+                found['rivals'] = self._numbers(self.rivals, over)
             case 'helpful':
                 memories = session.catalogue.needing('history')
                 own = [one for one in known.singles if memories & set(one.names)]
@@ -242,18 +245,6 @@ class Fits:
             together = float(off @ np.linalg.pinv(known) @ off)
             departures.append(Departure(farthest, together, len(off)))
         return departures
-
-    def _rivals(self, score: float) -> list[Pattern]:
-        """
-        Return the patterns; those far behind a score need not be fitted to the end.
-
-        None of them remembers, so that none competes where the cause does.
-        """
-        if self.remembers:
-            return []
-        if self.base.deviance < score + NEAR_SCORE:
-            return self.patterns
-        return self.patterns_on(self.base, score)
 
     def _joined(self, best: Ranked) -> list[Ranked]:
         """

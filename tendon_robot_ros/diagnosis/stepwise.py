@@ -75,81 +75,6 @@ class Promise(NamedTuple):
     leaving: Candidate | None = None
 
 
-class Rates:
-    """Derivatives of the markers by the blocks that may join a fit."""
-
-    def __init__(self, predictor: Predictor, state: State) -> None:
-        """Take the equilibria of a state."""
-        self.predictor, self.whitener, self.fit = predictor, state.whitener, state.fit
-        assert state.fit.settled is not None
-        self.settled = state.fit.settled
-
-    def of(self, blocks: Sequence[Candidate]) -> Iterator[Joining]:
-        """Yield the blocks with their derivatives; those that are always on from several sizes."""
-        catalogue = self.predictor.model.catalogue
-        effects = {name: catalogue[name] for b in blocks for name in b.names if name in catalogue}
-        smooth = [
-            free
-            for block in blocks
-            for free in block.frees
-            if free.effect not in effects or self.predictor.has_slopes(effects[free.effect])
-        ]
-        moved = self.predictor.tangent(self.fit.point, smooth, self.settled) if smooth else None
-        slopes = dict[FreeParameter, Floats]()
-        if moved is not None:
-            finite = np.isfinite(moved.markers).all(axis=(1, 2, 3))
-            slopes = {free: moved.markers[i] for i, free in enumerate(smooth) if finite[i]}
-        for block in blocks:
-            if jumps(block, self.predictor):
-                yield from self._jumping(block)
-                continue
-            start, own = {}, []
-            for free in block.frees:
-                value = self.predictor.start(free)
-                step = free.parameter.step(value, DIFFERENCE_STEP)
-                start[free] = value + step
-                rate = slopes.get(free)
-                own.append(self._slope({free: value + step}, step) if rate is None else rate)
-            yield Joining(block, start, 0.0, np.array(own))
-
-    def _jumping(self, block: Candidate) -> Iterator[Joining]:
-        """
-        Yield a block whose presence changes the markers at every value, from the best of sizes.
-
-        Sizes grow until a larger one is worse, the parameters of the fit adjusted linearly; they
-        stay below the typical ones, from where a fit goes on.
-        """
-        slopes = self.fit.jacobian[: self.whitener.size]
-        best, lowest = None, np.inf
-        for size in LADDER[:4:2]:
-            start = {free: free.clip(size * free.parameter.typical) for free in block.frees}
-            jumped = self._markers(start)
-            if jumped is None:
-                break
-            white = self.whitener.white(self.predictor.dataset.mean - jumped)
-            rest = white - slopes @ np.linalg.lstsq(slopes, white)[0]
-            if float(rest @ rest) > lowest:
-                break
-            lowest, best = float(rest @ rest), (start, jumped)
-        if best is None:
-            return
-        start, jumped = best
-        moves = []
-        for free, value in start.items():
-            step = DIFFERENCE_STEP * value
-            moves.append(self._slope({**start, free: value + step}, step, jumped))
-        yield Joining(block, start, jumped - self.fit.markers, np.array(moves))
-
-    def _slope(self, point: Point, step: float, before: Floats | None = None) -> Floats:
-        """Return the slope (P, J, 3) between a point and one a step off; 0 if it cannot stand."""
-        before = self.fit.markers if before is None else before
-        return slope(before, self._markers(point), step)
-
-    def _markers(self, more: Point) -> Floats | None:
-        """Return the markers (P, J, 3) [m] at the fit with more; None without equilibrium."""
-        return self.predictor.markers({**self.fit.point, **more}, near=self.settled)
-
-
 def jumps(block: Candidate, predictor: Predictor) -> bool:
     """Return whether the description lacks an effect of a block that acts whatever its value."""
     catalogue, present = predictor.model.catalogue, predictor.robot.effects
@@ -419,14 +344,77 @@ class Stepwise:
         known = self.joinings.get(state.names, {})
         new = [block for block in blocks if block.label not in known]
         if new:
-            own = {
-                joining.block.label: joining for joining in Rates(self.predictor, state).of(new)
-            }
+            own = {joining.block.label: joining for joining in self.rates(state, new)}
             known = known | {block.label: own.get(block.label) for block in new}
             if not len(self.held):
                 self.joinings[state.names] = known
         made = [known[block.label] for block in blocks]
         return [joining for joining in made if joining is not None]
+
+    def rates(self, state: State, blocks: Sequence[Candidate]) -> Iterator[Joining]:
+        """Yield what blocks do to the markers beside a fit; those that jump from several sizes."""
+        predictor, fit = self.predictor, state.fit
+        catalogue = predictor.model.catalogue
+        effects = {name: catalogue[name] for b in blocks for name in b.names if name in catalogue}
+        smooth = [
+            free
+            for block in blocks
+            for free in block.frees
+            if free.effect not in effects or predictor.has_slopes(effects[free.effect])
+        ]
+        assert fit.settled is not None
+        moved = predictor.tangent(fit.point, smooth, fit.settled) if smooth else None
+        slopes = dict[FreeParameter, Floats]()
+        if moved is not None:
+            finite = np.isfinite(moved.markers).all(axis=(1, 2, 3))
+            slopes = {free: moved.markers[i] for i, free in enumerate(smooth) if finite[i]}
+        for block in blocks:
+            if jumps(block, predictor):
+                yield from self._jumping(state, block)
+                continue
+            start, own = {}, []
+            for free in block.frees:
+                value = predictor.start(free)
+                step = free.parameter.step(value, DIFFERENCE_STEP)
+                start[free] = value + step
+                rate = slopes.get(free)
+                if rate is None:
+                    rate = slope(fit.markers, self._beside(fit, {free: value + step}), step)
+                own.append(rate)
+            yield Joining(block, start, 0.0, np.array(own))
+
+    def _jumping(self, state: State, block: Candidate) -> Iterator[Joining]:
+        """
+        Yield a block whose presence changes the markers at every value, from the best of sizes.
+
+        Sizes grow until a larger one is worse, the parameters of the fit adjusted linearly; they
+        stay below the typical ones, from where a fit goes on.
+        """
+        fit, whitener = state.fit, state.whitener
+        slopes = fit.jacobian[: whitener.size]
+        best, lowest = None, np.inf
+        for size in LADDER[:4:2]:
+            start = {free: free.clip(size * free.parameter.typical) for free in block.frees}
+            jumped = self._beside(fit, start)
+            if jumped is None:
+                break
+            white = whitener.white(self.measured - jumped)
+            rest = white - slopes @ np.linalg.lstsq(slopes, white)[0]
+            if float(rest @ rest) > lowest:
+                break
+            lowest, best = float(rest @ rest), (start, jumped)
+        if best is None:
+            return
+        start, jumped = best
+        moves = []
+        for free, value in start.items():
+            step = DIFFERENCE_STEP * value
+            moves.append(slope(jumped, self._beside(fit, {**start, free: value + step}), step))
+        yield Joining(block, start, jumped - fit.markers, np.array(moves))
+
+    def _beside(self, fit: Fit, more: Point) -> Floats | None:
+        """Return the markers (P, J, 3) [m] at a fit with more; None without equilibrium."""
+        return self.predictor.markers({**fit.point, **more}, near=fit.settled)
 
     def may_join(self, block: Candidate, state: State) -> bool:
         """Return whether a block is new in a state, and the effect that it modifies is present."""

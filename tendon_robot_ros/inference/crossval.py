@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -19,16 +18,14 @@ from ..common.errors import NoEquilibriumError
 from ..data import DataSet
 from ..effects import Catalogue
 from ..robot import Robot
-from .description import changed_robot, with_members, with_values, written_members
+from .description import WRITABLE_KINDS, changed_robot, with_members, with_values
 from .fit import LEVERAGE_MAX, Fit, covariance_root, left_out
 from .fitter import Fitter
 from .marginal import RIDGE
 from .noise import Whitener, estimate_noise, input_slopes
 from .predict import Predictor, SettledShapes
+from .session import Session
 from .statistics import rms, root_mean
-
-if TYPE_CHECKING:
-    from .session import Session
 
 FOLDS = 6  # [1] groups of postures left out in turn, because each costs a run of the model
 # [1] ratio of the errors left out from which the arm as found is written: docs/inference.md
@@ -189,8 +186,9 @@ def written_markers(
     description can hold (`beside`), or without. None without equilibrium.
     """
     frees = fit.all_frees if beside else fit.frees
-    units = values[len(fit.all_frees) :]
-    fitter.linearise_around(written_members(fit, units) if beside else {})
+    named = fit.built.random.named(values[len(fit.all_frees) :], fit.built.sizes)
+    around = {kind: own for kind, own in named.items() if kind in WRITABLE_KINDS}
+    fitter.linearise_around(around if beside else {})
     point = {free: free.clip(value) for free, value in zip(frees, values.tolist(), strict=False)}
     return fitter.predictor.markers(point, near=fit.settled)
 

@@ -86,12 +86,6 @@ def with_cells(robot: Robot, factors: Floats, digits: int = 6) -> Robot:
     return replace(robot, sections=sections)
 
 
-def written_members(fit: Fit, units: Floats) -> dict[str, Floats]:
-    """Return the imperfections that a description can hold, from mixtures in units of their sd."""
-    named = fit.built.random.named(units, fit.built.sizes)
-    return {kind: values for kind, values in named.items() if kind in WRITABLE_KINDS}
-
-
 def with_members(robot: Robot, fit: Fit, input: str) -> Robot:
     """
     Return a description with the cells, tendons and the registration as a fit found them.

@@ -531,7 +531,10 @@ class RandomEffects:
             low[self.remainder] = 0.0
             high[self.remainder] = self.kinds[self.remainder].allowed ** 2
         v = np.clip(sizes**2, low, high)
-        cost, offset = work.deviance(v), self._log_offset
+        cost, offset = work.deviance(v), np.zeros(len(v))
+        shows = np.linalg.norm(self.products[2])
+        if self.remainder is not None and shows > 0.0:  # it may be zero: a variance that shows
+            offset[self.remainder] = 1.0 / shows  # is added before the logarithm
         for _ in range(STEPS_MAX):
             slopes_at = work.slopes(v)
             step, promised = _step(v - low, high - v, v + offset, slopes_at)
@@ -551,18 +554,6 @@ class RandomEffects:
             if gain < DEVIANCE_GAIN_MIN:
                 break
         return Sizes(np.sqrt(v), cost)
-
-    @cached_property
-    def _log_offset(self) -> Floats:
-        """
-        Offsets (K,) of the variances before the logarithm: where the remainder begins to show.
-
-        The variance of the remainder may be zero; that of the other kinds may not.
-        """
-        offset, shows = np.zeros(len(self.kinds)), np.linalg.norm(self.products[2])
-        if self.remainder is not None and shows > 0.0:
-            offset[self.remainder] = 1.0 / shows
-        return offset
 
 
 def _mixture(columns: Floats, plausible: float) -> Floats:
