@@ -164,8 +164,9 @@ class Fit:
         if not self.as_built:
             return np.asarray(plain + known)
         random, sizes = self.built.random, self.built.sizes
-        raw = self.built.raw
-        mixture = random.mixture(raw, self.jacobian[: len(raw), :q], sizes, self.precisions)
+        n, spread = len(random.columns), sizes[random.owners]
+        raw = self.residual[:n] + (random.columns * spread) @ self.values[q:]
+        mixture = random.mixture(raw, self.jacobian[:n, :q], sizes, self.precisions)
         seen = np.isfinite(np.diag(plain))
         around = np.where(np.outer(seen, seen), mixture.covariance()[:k, :k], plain)
         sd = np.sqrt(np.diag(around))
