@@ -95,13 +95,13 @@ class Verdict(StrEnum):
         cls,
         name: str,
         sentence: str = '',
-        colour: str = '',
-        advice: str = '',
-        guide: str = '',
-        may_add: bool = False,
+        colour: str = 'found',
+        advice: str = ADD,
+        guide: str = CLICK_3,
+        may_add: bool = True,
         judged: bool = True,
     ) -> Verdict:
-        """Create a row of the table."""
+        """Create a row of the table; the defaults are those of effects that were found."""
         self = str.__new__(cls, name)
         self._value_, self.sentence, self.colour, self.advice = name, sentence, colour, advice
         self.guide, self.may_add, self.judged = guide, may_add, judged
@@ -113,39 +113,17 @@ class Verdict(StrEnum):
         'good',
         '',
         'Nothing is missing that these postures could show. Click 1 to record others.',
+        False,
     )
-    MISSING_EFFECT = (
-        'missing_effect',
-        '{missing}: {findings}.\nIt explains {share}.{as_written}',
-        'found',
-        ADD,
-        CLICK_3,
-        True,
-    )
-    SEVERAL = (
-        'several',
-        '{missing}: {findings}.\nTogether they explain {share}.{as_written}',
-        'found',
-        ADD,
-        CLICK_3,
-        True,
-    )
-    WRONG_PARAMETER = (
-        'wrong_parameter',
-        '{off}: {findings}{instead}.\n{why_off}{as_written}',
-        'found',
-        ADD,
-        CLICK_3,
-        True,
-    )
+    MISSING_EFFECT = 'missing_effect', '{missing}: {findings}.\nIt explains {share}.{as_written}'
+    SEVERAL = 'several', '{missing}: {findings}.\nTogether they explain {share}.{as_written}'
+    WRONG_PARAMETER = 'wrong_parameter', '{off}: {findings}{instead}.\n{why_off}{as_written}'
     AMBIGUOUS = (
         'ambiguous',
         '{missing}: one of these, and {these_postures} do not tell which:\n'
         '{alike}\nThe first explains {share}; the others do about as well.',
         'warn',
         'Until that is measured, the first of them will do: `{command} --add better.yaml`',
-        CLICK_3,
-        True,
     )
     OUTSIDE_CATALOGUE = (
         'outside_catalogue',
@@ -156,6 +134,7 @@ class Verdict(StrEnum):
         'falls: `improve`',
         'The catalogue has no name for this cause, so nothing is added. What the remainder looks '
         'like is said below.',
+        False,
     )
     CANNOT_JUDGE = (
         'cannot_judge',

@@ -115,11 +115,6 @@ class Fit:
         """Return -2 log marginal likelihood up to a constant: chi² where nothing is random."""
         return self.chi2 + self.built.penalty
 
-    @cached_property
-    def remainder_gain(self) -> float:
-        """Gain in deviance by a remainder beside the model and its imperfections."""
-        return max(self.estimate(remainder=False).deviance - self.deviance, 0.0)
-
     def estimate(self, remainder: bool = True, prior: Prior = Prior.SIZES) -> Sizes:
         """Estimate the sizes of the imperfections anew; see `RandomEffects.estimate`."""
         raw, sizes = self.built.raw, self.built.sizes
@@ -191,7 +186,7 @@ class Fit:
         Of an arm as built the p-value of the remainder, where that is smaller.
         """
         chance = misfit_p_value(self.chi2, self.freedom, noise_freedom)
-        gain = self.remainder_gain
+        gain = self.estimate(remainder=False).deviance - self.deviance
         return min(chance, 0.5 * chi2_sf(gain, 1)) if gain > 0.0 else chance
 
     def held_out(self, owners: Ints) -> tuple[float, float]:

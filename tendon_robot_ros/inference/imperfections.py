@@ -172,24 +172,18 @@ class BuiltPredictor(Predictor):
 
     def set_parameters(self, point: Point, part: Conditions) -> None:
         """Set the parameters and imperfections; see `Predictor.set_parameters`."""
-        off, arrays = self.around, self.model.arrays
+        off, arrays, axis = self.around, self.model.arrays, self.axis
         super().set_parameters(point, part)
         arrays.cells[:, 1] *= 1.0 + off.get(CELLS, 0.0)
         arrays.offset[:] = self._offsets * (1.0 + off.get(HOLE, np.zeros(1))[None, :, None])
-        kinks = self.kinks()
+        kinks = np.zeros((self.robot.cells, 2))  # [rad] bends at rest
+        if axis is None:
+            kinks += off.get(KINK, kinks).reshape(-1, 2)
+        else:
+            kinks[:, axis], kinks[:, 1 - axis] = off.get(KINK, 0.0), off.get(ACROSS, 0.0)
         if kinks.any():
             arrays.values[self.rests, : len(kinks)] += kinks.T
             arrays.on[arrays.layout.index[REST]] = 1
-
-    def kinks(self) -> Floats:
-        """Return the bend at rest of every cell (n, 2) [rad] by imperfections."""
-        axis, off = self.axis, self.around
-        kinks = np.zeros((self.robot.cells, 2))
-        if axis is None:
-            return np.asarray(kinks + off.get(KINK, kinks).reshape(-1, 2))
-        kinks[:, axis] = off.get(KINK, 0.0)
-        kinks[:, 1 - axis] = off.get(ACROSS, 0.0)
-        return kinks
 
     def member(self, name: str, i: int, part: Conditions) -> Move:
         """Return the move of member i of a kind of `around`; the model is set to a point."""

@@ -278,7 +278,8 @@ class Predictor:
         commanded, tensions answer so that taut wires keep theirs. None where friction remembers,
         or bends do and postures have several visits: only further solutions show it.
         """
-        stages = {self.model.catalogue[f.effect].stage for f in frees if self.is_effect(f)}
+        catalogue = self.model.catalogue
+        stages = {catalogue[free.effect].stage for free in frees if free.effect in catalogue}
         if 'memory' in stages or self.model.friction_remembers:
             return None
         if self.carries or (stages & PATH_STAGES and self.dataset.path != 'from_straight'):
@@ -342,10 +343,6 @@ class Predictor:
         follows = effect.stage in PATH_STAGES and self.visits is not None
         return effect.stage not in ('torsion', 'memory') and not follows
 
-    def is_effect(self, free: FreeParameter) -> bool:
-        """Tell whether a parameter belongs to an effect of the catalogue."""
-        return free.effect in self.model.catalogue
-
     def along_path(
         self, point: Point, settled: SettledShapes
     ) -> Callable[[Point], tuple[Floats, SettledShapes]]:
@@ -388,7 +385,8 @@ class Predictor:
         self, point: Point, frees: Sequence[FreeParameter], settled: SettledShapes
     ) -> Tangent:
         """Return the derivatives of a sequence that remembers its bends; see `tangent`."""
-        start = {**{free: self.value(free) for free in frees if self.is_effect(free)}, **point}
+        known = (free for free in frees if free.effect in self.model.catalogue)
+        start = {**{free: self.value(free) for free in known}, **point}
         near, columns = self.along_path(start, settled), []
         here = _moved(near(start))
         for free in frees:
@@ -407,7 +405,8 @@ class Predictor:
         """Return the move of a parameter about a point; the model is set to the point."""
         value, own = point.get(free, self.value(free)), free.parameter
         ends = self._ends(point, free)
-        if self.is_effect(free) and (free.effect, own.name) not in part.known:
+        is_effect = free.effect in self.model.catalogue
+        if is_effect and (free.effect, own.name) not in part.known:
             return Move.of_parameter(self.model, free.effect, own.name, free.column, ends)
 
         def set_to(side: float) -> None:

@@ -256,8 +256,11 @@ class LinearDesign:
             n.spread * self._slope(predictor, n.free, markers)
             for n in nuisances_of(self.robot, self.catalogue, predictor)
         ]
-        if not self.robot.exact:
-            slopes += self._as_built(BuiltPredictor(predictor))
+        arm = BuiltPredictor(predictor)
+        if not self.robot.exact and arm.markers(point) is not None:
+            kinds = arm.kinds(every=False)
+            sizes = np.repeat([kind.plausible for kind in kinds], [len(kind) for kind in kinds])
+            slopes += list(member_moves(arm, point, kinds) * sizes[:, None, None, None])
         whitener = Whitener(dataset, self.question.noise, input_slopes(predictor, point))
         white = whitener.white(np.array(slopes))
         return [white[:, whitener.owners == p].T for p in range(len(markers))]
@@ -285,15 +288,6 @@ class LinearDesign:
             if moved is not None:
                 return (moved - markers) / step
         return np.zeros_like(markers)
-
-    def _as_built(self, arm: BuiltPredictor) -> list[Floats]:
-        """Return the displacement (P, J, 3) [m] by each imperfection of a plausible size."""
-        if arm.markers(self.question.point) is None:
-            return []
-        kinds = arm.kinds(every=False)
-        sizes = np.repeat([kind.plausible for kind in kinds], [len(kind) for kind in kinds])
-        moves = member_moves(arm, self.question.point, kinds)
-        return list(moves * sizes[:, None, None, None])
 
 
 def information(precision: Floats, rows: Floats) -> float:

@@ -206,7 +206,13 @@ class ChangeWork:
 
     def fit(self, change: PossibleChange) -> ChangeFit | None:
         """Fit one change, with the imperfections linearised without a change."""
-        return self._effect(change) if change.is_effect else self._member(change)
+        if change.is_effect:
+            return self._effect(change)
+        white = self.weights.white(self.positions - self.expected)
+        columns = self.weights.white(self._slopes_of_members(change))  # of imperfections: linear
+        normal = columns.T @ columns + change.information
+        values = np.linalg.solve(normal, columns.T @ white)
+        return self._fitted(change, values, white - columns @ values, columns)
 
     def fit_around(self, fit: ChangeFit) -> ChangeFit | None:
         """Refit an effect, with the imperfections linearised at its value."""
@@ -249,14 +255,6 @@ class ChangeWork:
             both = information + other[1][p].T @ solved[:, 1:]
             far[p] = off[p] @ solved[:, 0] - along @ np.linalg.solve(both, along)
         return np.maximum(far, 0.0)
-
-    def _member(self, change: PossibleChange) -> ChangeFit:
-        """Fit changed imperfections (linear)."""
-        white = self.weights.white(self.positions - self.expected)
-        columns = self.weights.white(self._slopes_of_members(change))
-        normal = columns.T @ columns + change.information
-        values = np.linalg.solve(normal, columns.T @ white)
-        return self._fitted(change, values, white - columns @ values, columns)
 
     def _effect(self, change: PossibleChange, start: Floats | None = None) -> ChangeFit | None:
         """Fit an effect by damped Gauss-Newton within its bounds."""
