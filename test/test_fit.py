@@ -13,10 +13,11 @@ from simulated import CATALOGUE, NOISE, measured
 from tendon_robot_ros.diagnosis.add import fit_effects
 from tendon_robot_ros.inference.crossval import left_out_squares
 from tendon_robot_ros.inference.fitter import Fitter
-from tendon_robot_ros.inference.intervals import QUANTILE, intervals, values_of
+from tendon_robot_ros.inference.intervals import intervals, values_of
 from tendon_robot_ros.inference.noise import Whitener, input_slopes
 from tendon_robot_ros.inference.predict import Predictor, free_parameters
 from tendon_robot_ros.inference.session import Question
+from tendon_robot_ros.inference.statistics import QUANTILE
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError, refusal
 from ..common.processes import one_thread
 from ..common.results import TextResult, make_frame, plain
-from ..data import DataSetLike, load_dataset
+from ..data import DataSet, DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..inference.candidates import Candidate, why_untested
 from ..inference.crossval import Errors, Written, errors_on, model_error_of, written
@@ -107,18 +108,25 @@ def with_origin(addition: Addition, before: Robot) -> Robot:
     return robot
 
 
-def more_at_work(errors: Errors, probability: float) -> str:
-    """Return the note that other effects act as well."""
+def more_at_work(
+    errors: Errors, probability: float, dataset: DataSet, squares: Floats, noise: float
+) -> tuple[str, float | None]:
+    """
+    Return the note that other effects act as well, and the error [m] of the model at the tip.
+
+    By the squared errors (P, J) [m²] of postures left out, of which `noise` makes an rms [m].
+    """
     floor = errors.floor or 0.0
     residual = (
         f'{errors.after / floor:.1f} times the noise'
         if floor > 0.0
         else f'{1e3 * errors.after:.2g} mm'
     )
-    return (
+    note = (
         f'more is at work than these effects: what is left on the fitted postures is {residual} '
         f'(p = {probability:.1g})'
     )
+    return note, model_error_of(dataset, squares, noise)
 
 
 def restore(robot: Robot, name: str) -> tuple[Robot, Mapping[str, Any] | None]:
@@ -211,9 +219,8 @@ def add_effects(
         on_check = replace(fitted, kind='left out', alone=alone, after=descriptions.left_out)
     more, error = '', None
     if partial or probability <= P_SINGLE_MIN:
-        more = more_at_work(fitted, probability)
-        squares = descriptions.left_out_squares
-        error = model_error_of(session.dataset, squares, session.whitener.floor())
+        squares, noise = descriptions.left_out_squares, session.whitener.floor()
+        more, error = more_at_work(fitted, probability, dataset, squares, noise)
     by = session.dataset.accuracy if session.use_accuracy else None
     loads, moved = loads_of(fit, session.predictor, scale), fit.prior_z
     added = Addition(

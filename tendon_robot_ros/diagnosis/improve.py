@@ -32,7 +32,6 @@ from ..inference.crossval import (
     last_worthwhile,
     left_out_squares,
     missed,
-    model_error_of,
     predict,
     written_markers,
 )
@@ -40,10 +39,10 @@ from ..inference.description import OF_THE_ARM, WRITABLE_KINDS, route_changes, s
 from ..inference.fit import Fit, covariance_root
 from ..inference.fitter import FAILURES
 from ..inference.imperfections import POSITION, ROTATION, BuiltPredictor, imperfections
-from ..inference.intervals import QUANTILE, LoadVector, Value, loads_of, values_of
+from ..inference.intervals import LoadVector, Value, loads_of, values_of
 from ..inference.predict import FreeParameter, Predictor
 from ..inference.session import Question, Session
-from ..inference.statistics import mean_over
+from ..inference.statistics import QUANTILE, mean_over
 from ..robot import Robot, RobotLike
 from .add import Addition, more_at_work, settle, with_origin
 from .local_tests import faults_of, local_faults
@@ -389,7 +388,7 @@ class Searched:
             if self.arm_written:
                 last_step, errors, robot = last_step + 1, self.last, arm.robot
         predictor, markers = predict(search.dataset, robot, search.catalogue)
-        addition = self._addition(steps[: last_step + 1], robot, markers)
+        addition = self._addition(steps[: last_step + 1], robot, markers, errors)
         tips = np.sqrt(errors[:, -1])
         return Improvement(
             robot=with_origin(addition, search.robot),
@@ -423,9 +422,9 @@ class Searched:
         return ImprovementStep(joined, removed, fitted, left_out, checked, *fall(before, after))
 
     def _addition(
-        self, steps: Sequence[ImprovementStep], robot: Robot, markers: Floats
+        self, steps: Sequence[ImprovementStep], robot: Robot, markers: Floats, squares: Floats
     ) -> Addition:
-        """Return the added effects with their errors, for the written description."""
+        """Return the added effects with their errors (P, J) [m²], for the written description."""
         search, dataset, check, arm = self.search, self.search.dataset, self.check, self.arm
         kind, judged = ('left out', dataset) if check is None else ('check', check)
         floor, first, last = search.plain.floor(), steps[0], steps[-1]
@@ -446,10 +445,7 @@ class Searched:
             values, loads = arm.values_of_the_search, arm.loads_of_the_search
         more, error = '', None
         if chance <= P_SINGLE_MIN:
-            squares = self.last if self.arm_written else self.errors[self.taken]
-            assert squares is not None
-            more = more_at_work(fitted, chance)
-            error = model_error_of(dataset, squares, floor)
+            more, error = more_at_work(fitted, chance, dataset, squares, floor)
         return Addition(
             robot,
             values,

@@ -34,12 +34,11 @@ from ..inference.imperfections import (
     Kind,
     imperfections,
 )
-from ..inference.intervals import QUANTILE
 from ..inference.marginal import NEGLIGIBLE
 from ..inference.noise import Whitener
 from ..inference.predict import CELLS
 from ..inference.session import Session
-from ..inference.statistics import chi2_isf, false_discovery_control, normal_cdf, t_sf
+from ..inference.statistics import QUANTILE, chi2_isf, false_discovery_control, normal_cdf, t_sf
 from ..robot import Robot
 from .verdict import FALSE_DISCOVERY_RATE, P_SEVERAL_MIN
 

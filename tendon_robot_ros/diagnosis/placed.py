@@ -22,10 +22,10 @@ from ..inference.candidates import Candidate, Ranked
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, GAINS_TO_COME, Fitter
 from ..inference.imperfections import forces_along
-from ..inference.intervals import QUANTILE
 from ..inference.predict import FreeParameter, Point, Predictor, free_parameters
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import NEAR_SCORE, Session
+from ..inference.statistics import QUANTILE
 from ..model.derivatives import DIFFERENCE_STEP as FORCE_STEP
 from ..robot.estimates import natural_sizes
 

@@ -22,7 +22,6 @@ from ..inference.crossval import (
 from ..inference.fit import Fit
 from ..inference.imperfections import REMAINDER
 from ..inference.intervals import (
-    QUANTILE,
     SizeIntervals,
     loads_of,
     values_of,
@@ -31,7 +30,7 @@ from ..inference.intervals import (
 from ..inference.marginal import Prior
 from ..inference.outliers import Outliers
 from ..inference.session import Session
-from ..inference.statistics import SIGNIFICANCE, chi2_isf, root_mean
+from ..inference.statistics import QUANTILE, SIGNIFICANCE, chi2_isf, root_mean
 from .local_tests import faults_of
 from .placed import pushes_by
 from .result import NOT_NEEDED, CandidateRow, EffectFinding

@@ -17,11 +17,10 @@ from ..data import DataSet
 from ..effects import load_catalogue
 from ..inference.candidates import Ranked
 from ..inference.fit import Nuisance
-from ..inference.intervals import QUANTILE
 from ..inference.noise import Noise
 from ..inference.predict import FreeParameter, Point, Predictor
 from ..inference.session import Question
-from ..inference.statistics import chi2_noncentrality
+from ..inference.statistics import QUANTILE, chi2_noncentrality
 from ..robot.inputs import disturbed
 from .select import gather
 from .verdict import ALARM_LEVEL, is_alarming

@@ -15,12 +15,12 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from ..inference.statistics import (
+    QUANTILE,
     RARE,
     SIGNIFICANCE,
     chi2_isf,
     chi2_sf,
     first_of_best,
-    half_width_sd,
 )
 from ..robot.estimates import NOISE_FACTOR
 
@@ -257,7 +257,7 @@ def differs(evidence: Evidence, one: Hypothesis, scale: float = 1.0) -> bool:
     In one of its parameters, or in all together (Wald test); `scale` multiplies the covariance.
     """
     return all(
-        own.farthest > half_width_sd(SIGNIFICANCE) * math.sqrt(scale)
+        own.farthest > QUANTILE * math.sqrt(scale)
         or chi2_sf(own.together / scale, max(own.count, 1)) <= SIGNIFICANCE
         for own in known(evidence.departures.get(one.names), 'departures', one.names)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,6 +35,12 @@ def why_untested(effect: Effect, dataset: DataSet, robot: Robot) -> str:
         if not np.any(gravity):
             return 'set to zero'
     return 'these postures hardly show it'
+
+
+def acts(effect: Effect, robot: Robot, given: Collection[str]) -> bool:
+    """Return whether an effect acts on an arm if these needs are given; those at places do not."""
+    shapes = not effect.acts_on or effect.acts_on in robot.effects
+    return shapes and not effect.placed and set(effect.needs.split()) <= set(given)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from ..common.arrays import Bools, Floats, Ints
 from .imperfections import Kind, Members
 from .marginal import Prior, RandomEffects, Sizes, root_inverse
 from .predict import FreeParameter, SettledShapes, Tangent
-from .statistics import SIGNIFICANCE, chi2_sf, half_width_sd, misfit_p_value
+from .statistics import QUANTILE, SIGNIFICANCE, chi2_sf, misfit_p_value
 
 LEVERAGE_MAX = 0.999  # [1] of a value on its own prediction, else rounding would predict it
 FREEDOM_MANY = 1e3  # [1] of a variance, because t and F are then their limits to three digits
@@ -165,7 +165,7 @@ class Fit:
         seen = np.isfinite(np.diag(plain))
         around = np.where(np.outer(seen, seen), mixture.covariance()[:k, :k], plain)
         sd = np.sqrt(np.diag(around))
-        told = mixture.half_widths(1.0 - SIGNIFICANCE)[:k] / half_width_sd(SIGNIFICANCE)
+        told = mixture.half_widths(1.0 - SIGNIFICANCE)[:k] / QUANTILE
         tails = np.divide(told, sd, where=seen & (sd > 0.0), out=np.ones(k))
         return np.asarray(around * np.outer(tails, tails) + known)
 

@@ -23,9 +23,8 @@ from .fitter import FAILURES, Fitter
 from .imperfections import Members
 from .marginal import NEGLIGIBLE, SIZE_MAX, Likelihood, Prior, RandomEffects
 from .predict import FreeParameter, Point, Predictor
-from .statistics import SIGNIFICANCE, chi2_isf, chi2_sf, half_width_sd
+from .statistics import QUANTILE, SIGNIFICANCE, chi2_isf, chi2_sf
 
-QUANTILE = half_width_sd(SIGNIFICANCE)
 RISE_ERROR_MAX = 0.02  # [1] of a rise of the profile, because nobody reads more of an end
 CURVATURE_ERROR_MAX = 0.1  # [1] of an end by curvature, else the profile likelihood decides
 DIRECTION_TOLERANCE_RAD = 0.25 * math.pi  # [rad] half an interval, else it would be a guess

@@ -85,14 +85,17 @@ def normal_cdf(x: Floats) -> Floats:
     return np.asarray(special.ndtr(x))
 
 
+def normal_ppf(p: float) -> float:
+    """Quantile of the normal distribution."""
+    return float(special.ndtri(p))
+
+
 def half_width_sd(p: float) -> float:
     """Half of an interval [1 sd] that a normal value misses with probability p."""
     return normal_ppf(1.0 - 0.5 * p)
 
 
-def normal_ppf(p: float) -> float:
-    """Quantile of the normal distribution."""
-    return float(special.ndtri(p))
+QUANTILE = half_width_sd(SIGNIFICANCE)
 
 
 def false_discovery_control(p: Floats) -> Floats:

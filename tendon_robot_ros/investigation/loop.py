@@ -28,6 +28,7 @@ from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, found_values
 from ..diagnosis.verdict import Verdict
 from ..effects import Catalogue, Effect, load_catalogue
+from ..inference.candidates import acts
 from ..inference.noise import Noise
 from ..model.model import Model
 from ..monitoring.change import ChangeFinder
@@ -226,15 +227,12 @@ class Investigation:
 
     def shows(self, effect: Effect) -> bool:
         """Return whether an effect has any influence on this arm, if it is not at some place."""
-        robot = self.arm.robot
-        if effect.placed or (effect.acts_on and effect.acts_on not in robot.effects):
-            return False
         has = {
             'history': self.arm.path == 'sequence',
             'pulls': self.arm.input == 'displacement',
-            'gravity': robot.gravity is not None and bool(np.any(robot.gravity)),
+            'gravity': bool(np.any(self.arm.robot.gravity or 0.0)),
         }
-        return all(has[need] for need in effect.needs.split())
+        return acts(effect, self.arm.robot, [need for need, given in has.items() if given])
 
     @property
     def noise(self) -> Noise:

@@ -41,9 +41,8 @@ from ..common.estimation import KalmanUpdate, kalman_update
 from ..common.words import listed, with_unit
 from ..data import Marker
 from ..inference.description import with_values
-from ..inference.intervals import QUANTILE
 from ..inference.predict import FreeParameter, frees_of
-from ..inference.statistics import RARE, chi2_isf
+from ..inference.statistics import QUANTILE, RARE, chi2_isf
 from ..model.model import Model
 from ..robot import Robot
 from .built_arm import ODD_PROBABILITY, BuiltArm, slopes

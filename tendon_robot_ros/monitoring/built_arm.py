@@ -37,6 +37,7 @@ from ..common.estimation import kalman_update
 from ..data import DataSet, Marker
 from ..effects import Catalogue, Effect
 from ..inference import imperfections
+from ..inference.candidates import acts
 from ..inference.noise import relative_error
 from ..inference.predict import FreeParameter, Point, Predictor, SettledShapes, frees_of
 from ..inference.search import DIFFERENCE_STEP
@@ -404,12 +405,7 @@ def differences(
 
 def moving_effects(robot: Robot, catalogue: Catalogue) -> list[Effect]:
     """Return the effects by which an arm moves that rests under tensions, those at places not."""
-    return [
-        effect
-        for effect in catalogue
-        if not (effect.placed or {'history', 'pulls'} & set(effect.needs.split()))
-        and (not effect.acts_on or effect.acts_on in robot.effects)
-    ]
+    return [effect for effect in catalogue if acts(effect, robot, ('gravity',))]
 
 
 def usual_kinks(robot: Robot, level: float) -> Floats:
