@@ -119,9 +119,6 @@ class Patterns:
         markers, fitter = predict(), self.fitter
         if markers is None:
             return np.inf
-        if not self.fit.as_built:
-            white = self.white(markers)
-            return float(white @ white) + self.prior
         raw, nothing = fitter.residual(markers), np.zeros((self.fitter.whitener.size, 0))
         for _ in range(ROUNDS_MAX):
             estimated = fitter.random.estimate(raw, nothing, fitter.sizes)

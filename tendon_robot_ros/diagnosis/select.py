@@ -440,12 +440,11 @@ def hint(session: Session, current: Ranked, larger: Candidate) -> Hint:
     markers, columns = fitter.predictor.markers(point, near=near), list[Floats]()
     near = fitter.predictor.settled
     remembers = bool(session.catalogue.needing('history') & {free.effect for free in more})
-    moves = []
-    for factor in LADDER if remembers else ():
-        moves.append(({free: sized(free, factor, session.predictor) for free in more}, 1.0))
-    for free in () if remembers else more:
-        step = free.parameter.step(value(free), DIFFERENCE_STEP)
-        moves.append(({free: value(free) + step}, step))
+    steps = {free: free.parameter.step(value(free), DIFFERENCE_STEP) for free in more}
+    moves = [({free: value(free) + step}, step) for free, step in steps.items()]
+    if remembers:
+        predictor = session.predictor
+        moves = [({free: sized(free, f, predictor) for free in more}, 1.0) for f in LADDER]
     gains = [-np.inf]
     for sizes, unit in moves:
         moved = fitter.predictor.markers({**point, **sizes}, near=near)

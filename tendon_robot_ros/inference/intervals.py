@@ -198,7 +198,6 @@ def load_of(
     force: npt.ArrayLike,
     covariance: Floats | None = None,
     gravity: Sequence[float] | None = None,
-    scale: float = 1.0,
 ) -> LoadVector:
     """
     Return size and direction of a force, with 95 % intervals.
@@ -211,12 +210,10 @@ def load_of(
         Default: it is known exactly.
     gravity : (3,) [m/s²], optional
         In the base frame.
-    scale : float
-        Of the covariance.
 
     """
     vector = np.asarray(force, dtype=float)
-    spread = np.zeros((3, 3)) if covariance is None else scale * np.asarray(covariance)
+    spread = np.zeros((3, 3)) if covariance is None else covariance
     size = float(np.linalg.norm(vector))
     half = QUANTILE * _sd(spread, vector)
     down = None if gravity is None or not np.any(gravity) else np.array(gravity, dtype=float)
@@ -271,9 +268,9 @@ def loads_of(
     gravity = next(iter(parts)) if len(parts) == 1 else None  # the same in all postures
     for effect in dict.fromkeys(free.effect for free in fit.frees):
         rows = vector_rows(fit.frees, effect)
-        spread = known[np.ix_(rows, rows)]
+        spread = scale * known[np.ix_(rows, rows)]
         if rows and np.isfinite(spread).all():
-            loads[effect] = load_of(fit.values[rows], spread, gravity, scale)
+            loads[effect] = load_of(fit.values[rows], spread, gravity)
     return loads
 
 

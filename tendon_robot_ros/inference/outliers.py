@@ -17,7 +17,6 @@ weight times chi². The variance t² of the inputs follows from the median of al
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -247,22 +246,17 @@ class Outliers:
         """Whether there are some."""
         return bool(self.readings.any() or self.trials.any())
 
-    def rows(self, dataset: DataSet) -> list[Mapping[str, Any]]:
+    def rows(self, dataset: DataSet) -> list[dict[str, Any]]:
         """Name them: posture, trial and marker, None for the whole trial, and distance [m]."""
-        trials = [
-            {'posture': dataset.postures[p], 'trial': dataset.trial_names[q], 'marker': None}
-            for p, q in np.argwhere(self.trials)
-        ]
-        readings = [
-            {
-                'posture': dataset.postures[p],
-                'trial': dataset.trial_names[q],
-                'marker': dataset.markers[j].name,
-                'distance': float(self.distance[p, q, j]),
-            }
-            for p, q, j in np.argwhere(self.readings)
-        ]
-        return [*trials, *readings]
+
+        def named(p: int, q: int, **more: Any) -> dict[str, Any]:
+            return {'posture': dataset.postures[p], 'trial': dataset.trial_names[q], **more}
+
+        rows = [named(p, q, marker=None) for p, q in np.argwhere(self.trials)]
+        for p, q, j in np.argwhere(self.readings):
+            distance = float(self.distance[p, q, j])
+            rows.append(named(p, q, marker=dataset.markers[j].name, distance=distance))
+        return rows
 
     def without(self, dataset: DataSet) -> DataSet:
         """Return the data set without them; a posture keeps at least one trial."""
