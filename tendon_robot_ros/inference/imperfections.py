@@ -264,7 +264,11 @@ def member_moves(arm: BuiltPredictor, point: Point, kinds: Sequence[Kind]) -> Fl
     if arm.model.friction_remembers or arm.carries:
         return _differences(arm, point, named)
     arm.around = {k.name: np.zeros(len(k)) + arm.around.get(k.name, 0.0) for k in kinds}
-    return _slopes(arm, point, lambda part: [arm.member(name, i, part) for name, i, _ in named])
+
+    def moves(part: Conditions) -> list[Move]:
+        return [arm.member(name, i, part) for name, i, _ in named]
+
+    return arm.tangent_by(moves, point).markers
 
 
 def forces_along(
@@ -289,14 +293,8 @@ def forces_along(
         ]
         return [Move(step, -step, (one,), effect) for one in entries]
 
-    slopes = _slopes(predictor, point, moves)
+    slopes = predictor.tangent_by(moves, point).markers
     return slopes.reshape(-1, 3, *slopes.shape[1:])
-
-
-def _slopes(arm: Predictor, point: Point, moves: Callable[[Conditions], list[Move]]) -> Floats:
-    """Return derivatives (q, P, J, 3) of the markers at the settled postures, by moves."""
-    assert arm.settled is not None
-    return arm.tangent_by(moves, point, arm.settled).markers
 
 
 def _differences(

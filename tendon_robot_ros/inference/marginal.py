@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtri
@@ -143,14 +143,16 @@ class Likelihood:
         given = np.full(k, 1e-9) if weights is None else weights[known > 1e-9]
         self.ridge = np.diag(given / (1.0 if weights is None else known[known > 1e-9] ** 2))
         self._at: tuple[Floats, _Reduced] | None = None
-        self._beside = lru_cache(maxsize=1)(self._beside_remainder)
+        self._beside: tuple[float, tuple[Floats, Floats, Floats, Floats, float]] | None = None
 
     def _reduced(self, v: Floats) -> _Reduced:
         """Return the matrices at variances (K,); those of the last variances are kept."""
         if self._at is not None and np.array_equal(self._at[0], v):
             return self._at[1]
         variance = 0.0 if self.kind is None else float(v[self.kind])
-        own, more, inner, shrunk, log = self._beside(variance)
+        if self._beside is None or self._beside[0] != variance:
+            self._beside = variance, self._beside_remainder(variance)
+        own, more, inner, shrunk, log = self._beside[1]
         s = np.sqrt(v)[self.owners]
         root = root_inverse(np.eye(len(s)) + s[:, None] * own * s)
         log = log - 2.0 * float(np.log(np.diag(root)).sum())

@@ -294,9 +294,15 @@ class Predictor:
         self,
         moves_of: Callable[[Conditions], list[Move]],
         point: Point,
-        settled: SettledShapes,
+        settled: SettledShapes | None = None,
     ) -> Tangent:
-        """Return the derivatives of equilibria by moves of each part; see `tangent`."""
+        """
+        Return the derivatives of equilibria by moves of each part; see `tangent`.
+
+        Default: of those that were predicted last.
+        """
+        settled = settled or self.settled
+        assert settled is not None
         P, by_pulls, tangents = len(settled.state), self.dataset.input == 'displacement', []
         for part in self.parts:
             self.set_parameters(point, part)

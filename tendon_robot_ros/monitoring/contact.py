@@ -177,7 +177,6 @@ class ContactObserver:
         predictor.inputs = inputs
         if self._place is None or predictor.model.remembers or predictor.markers(point) is None:
             return None
-        assert predictor.settled is not None
         ends = np.append(0.0, np.cumsum(self.arm.robot.cell_lengths))
         slopes = forces_along(predictor, point, self.effect, self.step, ends[1:])
         at_ends = slopes.reshape(len(ends) - 1, 3, -1).swapaxes(1, 2)
