@@ -150,8 +150,7 @@ class Diagnose:
                 takes = f'that takes about {SECONDS:.0f} s'
                 print(f'simulating your postures; {takes}', file=sys.stderr)
                 trust = assess(dataset, args.effect_file, args.workers, progress=show)
-                plain = None if trust is None else trust.to_json()
-                diagnosis = replace(diagnosis, details={**diagnosis.details, 'trust': plain})
+                diagnosis = replace(diagnosis, details={**diagnosis.details, 'trust': trust})
             show('fitting what was found', 0, 0)
             outside = diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE
             effects = diagnosis.effects

@@ -76,35 +76,6 @@ def smallest_sizes(
 Task = tuple[int, FreeParameter | None, float]  # seed, hidden parameter and its value
 
 
-@dataclass(frozen=True)
-class Trust:
-    """Result of a parametric bootstrap of the whole diagnosis."""
-
-    runs: int  # simulated data sets with nothing missing
-    alarms: int
-    low: float  # 95 % interval of the alarm rate
-    high: float
-    detectable: tuple[SmallestSize, ...]  # smallest sizes that raise an alarm four times in five
-    checked: int  # simulated data sets with one such effect
-    detected: int
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain data; sizes in SI, null where no size within the bounds would show."""
-        sizes: dict[str, dict[str, Any]] = {}
-        for one in self.detectable:
-            sizes.setdefault(one.free.effect, {})[one.free.key] = one.plain
-        rate = self.alarms / self.runs if self.runs else None
-        return {
-            'alarm_rate': rate,
-            'alarm_rate_low': self.low,
-            'alarm_rate_high': self.high,
-            'runs': self.runs,
-            'detectable': sizes,
-            'checked': self.checked,
-            'detected': self.detected,
-        }
-
-
 def assess(
     dataset: DataSet,
     files: Sequence[str] = (),
@@ -112,7 +83,7 @@ def assess(
     seconds: float = SECONDS,
     runs: int = 200,
     progress: Progress | None = None,
-) -> Trust | None:
+) -> dict[str, Any] | None:
     """
     Simulate measurements of the description, with the noise of the data, and diagnose them.
 
@@ -133,8 +104,10 @@ def assess(
 
     Returns
     -------
-    Trust
-        None where the noise is neither declared nor measured by repeated trials.
+    dict, optional
+        Plain data: rate of alarms with nothing missing and its 95 % interval, the smallest sizes
+        (SI) that raise an alarm four times in five, and how often they did. None where the noise
+        is neither declared nor measured by repeated trials.
 
     """
     show = listener(progress)
@@ -166,7 +139,19 @@ def assess(
         count, alarms = counted(quiet, 'simulated with nothing missing', note)
         loud = spread.run(run, sized, late)
         checked, detected = counted(loud, 'simulated with an effect', note)
-    return Trust(count, alarms, *wilson(alarms, count), smallest, checked, detected)
+    sizes: dict[str, dict[str, Any]] = {}
+    for one in smallest:
+        sizes.setdefault(one.free.effect, {})[one.free.key] = one.plain
+    low, high = wilson(alarms, count)
+    return {
+        'alarm_rate': alarms / count if count else None,
+        'alarm_rate_low': low,
+        'alarm_rate_high': high,
+        'runs': count,
+        'detectable': sizes,
+        'checked': checked,
+        'detected': detected,
+    }
 
 
 def alarm(dataset: DataSet, noise: Noise, files: tuple[str, ...], task: Task) -> bool | None:
