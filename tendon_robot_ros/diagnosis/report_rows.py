@@ -21,12 +21,7 @@ from ..inference.crossval import (
 )
 from ..inference.fit import Fit
 from ..inference.imperfections import REMAINDER
-from ..inference.intervals import (
-    SizeIntervals,
-    loads_of,
-    values_of,
-    values_with_intervals,
-)
+from ..inference.intervals import SizeIntervals, loads_of, values_of, values_with_intervals
 from ..inference.marginal import Prior
 from ..inference.outliers import Outliers
 from ..inference.session import Session

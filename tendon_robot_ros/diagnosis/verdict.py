@@ -14,14 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from ..inference.statistics import (
-    QUANTILE,
-    RARE,
-    SIGNIFICANCE,
-    chi2_isf,
-    chi2_sf,
-    first_of_best,
-)
+from ..inference.statistics import QUANTILE, RARE, SIGNIFICANCE, chi2_isf, chi2_sf, first_of_best
 from ..robot.estimates import NOISE_FACTOR
 
 # Significance and likelihood

@@ -195,9 +195,7 @@ def _profile(fitter: Fitter, fit: Fit, i: int, end: float, wide: float) -> float
 
 
 def load_of(
-    force: npt.ArrayLike,
-    covariance: Floats | None = None,
-    gravity: Sequence[float] | None = None,
+    force: npt.ArrayLike, covariance: Floats | None = None, gravity: Sequence[float] | None = None
 ) -> LoadVector:
     """
     Return size and direction of a force, with 95 % intervals.

@@ -232,11 +232,7 @@ DESCENT_ROUNDS = 2  # [1] through two sizes in turn, because a change of one har
 
 
 def likely(
-    dataset: DataSet,
-    noise: Noise,
-    slopes: Floats,
-    off: Floats,
-    held: Sequence[int] | Ints = (),
+    dataset: DataSet, noise: Noise, slopes: Floats, off: Floats, held: Sequence[int] | Ints = ()
 ) -> tuple[float, float]:
     """
     Return the sizes [m] under which measured minus model `off` (P, J, 3) [m] is most likely.

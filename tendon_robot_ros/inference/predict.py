@@ -222,10 +222,7 @@ class Predictor:
         return free.clip(self.value(free))
 
     def markers(
-        self,
-        point: Point,
-        inputs: Floats | None = None,
-        near: SettledShapes | None = None,
+        self, point: Point, inputs: Floats | None = None, near: SettledShapes | None = None
     ) -> Floats | None:
         """
         Predict marker positions (P, J, 3) [m]; None where a posture has no equilibrium.

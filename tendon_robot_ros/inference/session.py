@@ -22,14 +22,7 @@ from .fit import Fit, Nuisance
 from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
 from .imperfections import REMAINDER, BuiltPredictor, Imperfections, imperfections
 from .marginal import RandomEffects
-from .noise import (
-    VARIANCE_GAIN_MIN,
-    Noise,
-    Whitener,
-    estimate_noise,
-    input_slopes,
-    relative_error,
-)
+from .noise import VARIANCE_GAIN_MIN, Noise, Whitener, estimate_noise, input_slopes, relative_error
 from .outliers import Outliers, find_outliers, without_unsettled
 from .predict import CELLS, Point, Predictor
 from .repeats import Repeats, repeats
