@@ -20,7 +20,7 @@ from ..effects import CatalogueLike, load_catalogue
 from ..inference.candidates import Candidate, why_untested
 from ..inference.crossval import Errors, Written, errors_on, model_error_of, written
 from ..inference.fit import Fit
-from ..inference.intervals import LoadVector, Value, loads_of, values_with_intervals
+from ..inference.intervals import LoadVector, Values, loads_of, values_with_intervals
 from ..inference.predict import Point, free_parameters
 from ..inference.session import Question, Session
 from ..robot import Robot, RobotLike
@@ -33,7 +33,7 @@ class Addition(TextResult):
     """A description with fitted effects, and what they do to the error."""
 
     robot: Robot
-    values: dict[str, dict[str, Value]]  # effect -> parameter -> value with its interval
+    values: Values  # with their intervals
     fitted: Errors  # on the postures of the fit
     check: Errors  # on a check set, else on postures left out in turn
     probability: float  # p-value of the remaining error if no other effect acts

@@ -39,7 +39,7 @@ from ..inference.description import OF_THE_ARM, WRITABLE_KINDS, route_changes, s
 from ..inference.fit import Fit, covariance_root
 from ..inference.fitter import FAILURES
 from ..inference.imperfections import POSITION, ROTATION, BuiltPredictor, imperfections
-from ..inference.intervals import LoadVector, Value, loads_of, values_of
+from ..inference.intervals import LoadVector, Value, Values, loads_of, values_of
 from ..inference.predict import FreeParameter, Predictor
 from ..inference.session import Question, Session
 from ..inference.statistics import QUANTILE, mean_over
@@ -51,7 +51,6 @@ from .result import AS_FOUND, Improvement, ImprovementStep, total
 from .stepwise import GROUPS_MIN, STEPS_MAX, State, Stepwise, grown, spread_of
 from .verdict import P_SINGLE_MIN, TOLERANCE_SD_MAX
 
-Values = dict[str, dict[str, Value]]
 FRAME = (POSITION, ROTATION)
 STEPS_IN_VAIN = 2  # [1] in a row end a search; not one, because some effects only help together
 

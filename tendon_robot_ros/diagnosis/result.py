@@ -19,7 +19,7 @@ from ..common.results import TextResult, make_frame, plain
 from ..common.words import LISTED_MAX
 from ..effects import Catalogue
 from ..inference.description import PROFILE
-from ..inference.intervals import LoadVector, Value
+from ..inference.intervals import LoadVector, Value, Values
 from ..inference.predict import FreeParameter, frees_of
 from ..robot import Robot
 from .verdict import Verdict
@@ -234,7 +234,7 @@ class Improvement(TextResult):
     steps: tuple[ImprovementStep, ...]  # first: as it was; some more than were taken
     taken: int  # steps after the first
     chosen: Floats  # (J,) [m] left out, where the number of steps was chosen without them as well
-    values: dict[str, dict[str, Value]]  # effect -> parameter -> value with its interval
+    values: Values  # with their intervals
     loads: dict[str, LoadVector]  # size and direction, of effects that are forces
     profile: tuple[float, ...]  # change of the stiffness at base, middle and tip [1], or nothing
     routes: dict[str, tuple[float, float]]  # tendon -> turn at the base [rad], helix [rad/m]

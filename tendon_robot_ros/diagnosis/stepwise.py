@@ -23,13 +23,7 @@ from ..data import DataSet
 from ..effects import Catalogue
 from ..inference.candidates import Candidate, joining_effects
 from ..inference.crossval import FOLDS, folds_of, left_out_errors
-from ..inference.description import (
-    OF_THE_ARM,
-    DescribedArm,
-    arm_with,
-    blocks_of_the_arm,
-    changed_robot,
-)
+from ..inference.description import OF_THE_ARM, DescribedArm, blocks_of_the_arm, changed_robot
 from ..inference.fit import Fit, Nuisance, covariance_of, covariance_root
 from ..inference.fitter import DEVIANCE_CONVERGED, FAILURES, Fitter
 from ..inference.marginal import NEGLIGIBLE
@@ -511,5 +505,4 @@ class Stepwise:
 
     def written(self, state: State) -> Robot:
         """Return the description with the fitted values of a state."""
-        robot = changed_robot(self.robot, self.catalogue, state.fit, self.dataset)
-        return arm_with(robot, state.fit.point)
+        return changed_robot(self.robot, self.catalogue, state.fit, self.dataset)

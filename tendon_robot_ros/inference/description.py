@@ -65,13 +65,13 @@ def with_values(
 
 
 def changed_robot(robot: Robot, catalogue: Catalogue, fit: Fit, dataset: DataSet) -> Robot:
-    """Return the description with the fitted effects; see `arm_with` for the arm itself."""
+    """Return the description with fitted effects, and with what was fitted of the arm itself."""
     known = zip(fit.frees, fit.values.tolist(), strict=False)
     values = [(free, value) for free, value in known if free.effect in catalogue]
     robot = with_values(robot, catalogue, values)
     if robot.gravity is None and any('gravity' in catalogue[f.effect].needs for f, _ in values):
         robot = replace(robot, gravity=dataset.gravity)
-    return robot
+    return arm_with(robot, fit.point)
 
 
 def with_cells(robot: Robot, factors: Floats, digits: int = 6) -> Robot:

@@ -43,6 +43,9 @@ class Value:
     note: str = ''  # 'at its bound', 'not determined by these postures', 'correlated with ...'
 
 
+Values = dict[str, dict[str, Value]]  # effect -> parameter -> its value
+
+
 @dataclass(frozen=True)
 class LoadVector:
     """
@@ -387,9 +390,7 @@ class _Estimate:
         return math.exp(0.5 * float(brentq(above, low, high, xtol=0.1 * NEGLIGIBLE)))
 
 
-def values_of(
-    fit: Fit, scale: float = 1.0, covariance: Floats | None = None
-) -> dict[str, dict[str, Value]]:
+def values_of(fit: Fit, scale: float = 1.0, covariance: Floats | None = None) -> Values:
     """
     Return values with 95 % intervals by effect; `scale` widens them (chi² over freedom).
 
@@ -398,7 +399,7 @@ def values_of(
     quantile = QUANTILE * np.sqrt(scale)
     known = fit.interval_covariance if covariance is None else covariance
     spread = np.sqrt(np.maximum(np.diag(known), 0.0))
-    values: dict[str, dict[str, Value]] = {}
+    values = Values()
     for i, free in enumerate(fit.frees):
         value, half = float(fit.values[i]), float(quantile * spread[i])
         low = float(max(value - half, free.parameter.low))
@@ -409,9 +410,7 @@ def values_of(
     return values
 
 
-def values_with_intervals(
-    fitter: Fitter, fit: Fit, scale: float = 1.0
-) -> dict[str, dict[str, Value]]:
+def values_with_intervals(fitter: Fitter, fit: Fit, scale: float = 1.0) -> Values:
     """Return values of effects to add, with intervals by curvature or profile: `intervals`."""
     values = values_of(fit, scale)
     for free, (low, high) in intervals(fitter, fit, scale).items():
