@@ -302,8 +302,8 @@ class BuiltArm:
 
     def _reference(self, one: _Linear, frames: int) -> Reference:
         """Return a reference posture with its sizes as they are now."""
-        off, columns, scatter = self.observation(*one, frames)
-        return Reference(off, columns @ self.prior, scatter)
+        seen = self.observation(*one, frames)
+        return seen._replace(columns=seen.columns @ self.prior)
 
     def _vary(self, base: Sequence[_Linear], frames: int) -> None:
         """Set the sizes of remainder and tension noise to those of maximum likelihood."""
@@ -322,19 +322,20 @@ class BuiltArm:
         after = kalman_update(self.mean, self.covariance, columns, off, scatter)
         self.mean, self.covariance = after.mean, after.covariance
 
-    def observation(
-        self, expected: Expected, measured: Floats, frames: int = 1
-    ) -> tuple[Floats, Floats, Floats]:
-        """Return residual, columns and scatter of the visible coordinates of a posture."""
+    def observation(self, expected: Expected, measured: Floats, frames: int = 1) -> Reference:
+        """Return what is seen of a posture (3 J,) [m]: its visible coordinates."""
         rows = np.isfinite(measured)
         scatter, own = self.scatter(rows, expected.columns, frames), expected.columns[rows]
-        return measured[rows] - expected.markers[rows], own[:, : len(self.mean)], scatter
+        off = measured[rows] - expected.markers[rows]
+        return Reference(off, own[:, : len(self.mean)], scatter)
 
     def _follow(
         self, tensions: Floats, positions: Floats, frames: int
     ) -> list[tuple[Floats, Floats]]:
         """
-        Filter the postures in sequence, as the monitoring does later; return the scores.
+        Filter the postures in sequence, as the monitoring does later.
+
+        Returns the score C' S^-1 nu (q,) of each innovation nu, and its covariance (q, q).
 
         The innovations are correlated, because directions without information are far from the
         point of linearisation.
@@ -344,17 +345,12 @@ class BuiltArm:
         for inputs, measured in zip(tensions, positions, strict=True):
             with suppress(NoEquilibriumError):
                 expected = self.expected(inputs)
-                scores.append(self.score(expected, measured.ravel(), frames))
+                off, columns, scatter = self.observation(expected, measured.ravel(), frames)
+                spread = columns @ self.covariance @ columns.T + scatter
+                weighted = np.linalg.solve(spread, columns)
+                scores.append((weighted.T @ off, columns.T @ weighted))
                 self.learn(expected, measured.ravel(), frames)
         return scores
-
-    def score(
-        self, expected: Expected, measured: Floats, frames: int = 1
-    ) -> tuple[Floats, Floats]:
-        """Return the score C' S^-1 nu (q,) of a posture (3 J,) [m], and its covariance."""
-        off, columns, scatter = self.observation(expected, measured, frames)
-        weighted = np.linalg.solve(columns @ self.covariance @ columns.T + scatter, columns)
-        return weighted.T @ off, columns.T @ weighted
 
     def columns(self, inputs: Floats, point: Point) -> Floats:
         """Return the motion of the markers (3 J, q + n) [m] by states of plausible size."""

@@ -22,8 +22,8 @@ widens by the same factor, so that errors of the model do not exclude references
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,9 +36,8 @@ from ..inference.outliers import outlier_limits
 BATCHES = 1, 4, 8
 
 
-@dataclass(frozen=True)
-class Reference:
-    """A measured posture, linear in q imperfections of 1 sd each."""
+class Reference(NamedTuple):
+    """A measured posture, linear in q states of 1 sd each."""
 
     off: Floats  # (r,) [m] residual of the prediction without imperfections
     columns: Floats  # (r, q) [m per sd]
