@@ -336,8 +336,8 @@ def _joined(session: Session, own: Sequence[Candidate]) -> Fit:
     """
     fit, inside, error = None, list[Candidate](), None
     order = [effect.name for effect in session.catalogue]
+    order.sort(key=lambda name: session.catalogue[name].needs != 'pulls')
     waiting = sorted(own, key=lambda c: order.index(c.names[0]))
-    waiting.sort(key=lambda c: session.catalogue[c.names[0]].needs != 'pulls')
     while waiting:
         for candidate in waiting:
             try:

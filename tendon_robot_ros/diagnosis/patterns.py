@@ -142,10 +142,9 @@ class Patterns:
         n = self.fitter.predictor.model.arrays.chain.n
         softness = Parameter('softness', '1', -1.5, 4.0, 0.0, 0.1)  # logarithm of the bend
         frees = [FreeParameter(SOFT_CELL, softness, i) for i in range(n)]
-        usual = self.fit.built.sizes.copy()  # else the soft cell itself would be scatter
-        for k, kind in enumerate(self.fit.built.kinds):
-            usual[k] = min(usual[k], kind.plausible) if kind.name == CELLS else usual[k]
-        self.fitter.sizes = usual
+        built = self.fit.built
+        most = [kind.plausible if kind.name == CELLS else np.inf for kind in built.kinds]
+        self.fitter.sizes = np.minimum(built.sizes, most)  # else the cell itself would be scatter
         white = [self.fitter.whitener.white(moves).T for moves in self._moved(frees)]
         columns = self.fitter.lift(np.hstack(white))
         columns = columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)

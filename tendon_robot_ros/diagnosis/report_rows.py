@@ -20,7 +20,6 @@ from ..inference.crossval import (
     written,
 )
 from ..inference.fit import Fit
-from ..inference.imperfections import REMAINDER
 from ..inference.intervals import SizeIntervals, loads_of, values_of, values_with_intervals
 from ..inference.marginal import Prior
 from ..inference.outliers import Outliers
@@ -105,10 +104,8 @@ def _accounted(session: Session, residual: float, arm: Mapping[str, Any] | None)
         return ''
     if residual < REPEATABILITIES_MAX * session.whitener.floor():
         return 'How an arm is built accounts for that: see its scatter.'
-    told = np.array([kind['told'] for kind in arm['kinds']] + [False])
-    measured = session.floor_with(
-        np.where(told, [kind['size'] for kind in arm['kinds']] + [0.0], 0.0)
-    )
+    told = [kind['size'] if kind['told'] else 0.0 for kind in arm['kinds']]
+    measured = session.floor_with(np.append(told, 0.0))  # without a remainder
     if measured > residual / SAME_ERROR_RATIO:
         return 'The scatter of its parts that these measurements show accounts for that.'
     return (
@@ -136,9 +133,7 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
     usual_low, usual_high = intervals.ends(random.plausible)
     informative = (usual_high < SPAN_MAX * usual_low) & ((lows > 0.0) | np.isfinite(highs))
     members, kinds = fit.members, []
-    for k, kind in enumerate(built.kinds):
-        if kind.name == REMAINDER:
-            continue
+    for k, kind in enumerate(built.kinds[:-1]):  # without the remainder
         own = len(fit.all_frees) + np.flatnonzero(built.random.owners == k)
         mix = built.random.mixtures[k]  # the data show no other directions
         known = ((mix @ fit.covariance[np.ix_(own, own)]) * mix).sum(axis=1)
