@@ -39,28 +39,22 @@ def with_values(
     robot: Robot, catalogue: Catalogue, values: Iterable[tuple[FreeParameter, float]]
 ) -> Robot:
     """Return a description with values of parameters; others of their effects stay as they are."""
-    changes: dict[str, dict[str, list[tuple[int | None, float]]]] = {}
-    for free, value in values:
-        items = changes.setdefault(free.effect, {})
-        items.setdefault(free.parameter.name, []).append((free.column, _short(value)))
+    effects: dict[str, EffectValues] = {}
     counts = {'section': len(robot.sections), 'tendon': len(robot.tendons)}
-    for name, items in changes.items():
-        parameters = {p.name: p for p in catalogue[name].parameters}
-        known: EffectValues = {
-            key: p.neutral for key, p in parameters.items() if not p.only_described
-        }
-        known |= robot.effects.get(name, {})
-        changed: EffectValues = {}
-        for key, own in items.items():
-            before, count = known[key], counts.get(parameters[key].per, 1)
-            if own[0][0] is None or count == 1:
-                changed[key] = own[0][1]
-                continue
-            each = list(before) if isinstance(before, tuple) else [before] * count
-            for column, value in own:  # of so many sections or tendons
-                each[column or 0] = value
-            changed[key] = tuple(each)
-        robot = robot.with_effect(name, known | changed, robot.fitted.get(name))
+    for free, value in values:
+        name, key, count = free.effect, free.parameter.name, counts.get(free.parameter.per, 1)
+        if name not in effects:
+            own = (p for p in catalogue[name].parameters if not p.only_described)
+            effects[name] = {**{p.name: p.neutral for p in own}, **robot.effects.get(name, {})}
+        if free.column is None or count == 1:
+            effects[name][key] = _short(value)
+            continue
+        before = effects[name][key]
+        each = list(before) if isinstance(before, tuple) else [before] * count
+        each[free.column] = _short(value)  # of so many sections or tendons
+        effects[name][key] = tuple(each)
+    for name, known in effects.items():
+        robot = robot.with_effect(name, known, robot.fitted.get(name))
     return robot
 
 
