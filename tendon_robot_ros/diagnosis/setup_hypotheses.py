@@ -416,19 +416,14 @@ def dead_input(predictor: Predictor, j: int, point: Point) -> Iterator[Mistake]:
     name, fitted, largest = predictor.robot.inputs[j], given.copy(), float(np.nanmax(given))
     sizes = largest * DEAD_SIZES
     moved = [predictor.markers(point, _with_one(j, size, given)) for size in sizes.tolist()]
+    none = np.full_like(dataset.mean, np.nan)
+    seen = np.array([none if one is None else one for one in moved])  # (S, P, J, 3)
     for _ in range(3):
         now = predictor.markers(point, fitted)
         if now is None:
             break
         measured = in_frame(predictor, dataset, now).mean
-        errors = np.array(
-            [
-                np.full(len(given), np.inf)
-                if one is None
-                else np.nanmean(((measured - one) ** 2).sum(axis=2), axis=1)
-                for one in moved
-            ]
-        )
+        errors = mean_over(((measured - seen) ** 2).sum(axis=3), 2)
         errors = np.where(np.isnan(errors), np.inf, errors)  # (S, P); the minimum is interpolated
         k = np.clip(np.argmin(errors, axis=0), 1, len(sizes) - 2)
         below, lowest, above = (errors[k + i, np.arange(len(given))] for i in (-1, 0, 1))

@@ -239,15 +239,11 @@ def stiffness_change(robot: Robot, point: Point) -> tuple[float, ...]:
 
 def route_changes(point: Point) -> dict[str, tuple[float, float]]:
     """Return by how much each tendon is turned at the base [rad], and winds [rad/m]."""
-    values = {
-        (free.label, free.parameter.name): value
-        for free, value in point.items()
-        if free.effect == ROUTES
-    }
-    return {
-        name: (values.get((name, 'turn'), 0.0), values.get((name, 'helix'), 0.0))
-        for name, _ in values
-    }
+    changes: dict[str, dict[str, float]] = {}
+    for free, value in point.items():
+        if free.effect == ROUTES:
+            changes.setdefault(free.label, {})[free.parameter.name] = value
+    return {name: (own.get('turn', 0.0), own.get('helix', 0.0)) for name, own in changes.items()}
 
 
 def _winding(robot: Robot) -> Robot:

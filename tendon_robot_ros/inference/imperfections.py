@@ -193,11 +193,9 @@ class BuiltPredictor(Predictor):
             entries = Entries.shifted(arrays.values, (self.rests[xy], cell), sides)
             return Move(*sides, (entries,), REST)
         if name in (CELLS, HOLE):
-            own_places = {
-                CELLS: (arrays.cells, np.s_[i : i + 1, 1:2]),
-                HOLE: (arrays.offset, np.s_[:, i : i + 1]),
-            }
-            array, which = own_places[name]
+            array, which = arrays.cells, np.s_[i : i + 1, 1:2]
+            if name == HOLE:
+                array, which = arrays.offset, np.s_[0 : len(arrays.offset), i : i + 1]
             entries = Entries.shifted(array, which, sides, array[which] / (1.0 + own[i]))
             return Move(*sides, (entries,))
         move = Move(*sides, (Entries.shifted(own, [i], sides),), beside=True)
