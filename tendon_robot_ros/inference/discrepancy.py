@@ -133,22 +133,17 @@ class _DeviationProcess:
         white = np.einsum('pjc,jk->pkc', off, along).reshape(len(off), -1)
         noise = driven + 3.0 * tracker / heights.mean()
         self.ratio = noise / max(3.0 * float((white**2).mean()), 1e-30) + NEGLIGIBLE
-        best = np.inf
-        for length in self._lengths():
+        apart, lengths, best = self._apart(inputs), [1.0], np.inf
+        apart = apart[apart > 0.0]
+        if apart.size:  # from a length by which all inputs differ to one by which all are alike
+            low, high = 0.3 * np.sqrt(apart.min()), 3.0 * np.sqrt(apart.max())
+            lengths = np.geomspace(low, high, LENGTHS).tolist()
+        for length in lengths:
             root = np.linalg.cholesky(self._alike(inputs, length) + np.diag(self.ratio))
             variance = max(float((np.linalg.solve(root, white) ** 2).mean()), 1e-30)
             logs = 2.0 * float(np.log(np.diag(root)).sum()) + len(off) * np.log(variance)
             if logs < best:
                 best, self.length, self.size = logs, length, float(np.sqrt(3.0 * variance))
-
-    def _lengths(self) -> list[float]:
-        """Return the lengths to try: from those that make all inputs different to one and all."""
-        apart = self._apart(self.inputs)
-        apart = apart[apart > 0.0]
-        if not apart.size:
-            return [1.0]
-        low, high = 0.3 * np.sqrt(apart.min()), 3.0 * np.sqrt(apart.max())
-        return [float(length) for length in np.geomspace(low, high, LENGTHS)]
 
     def _apart(self, inputs: Floats) -> Floats:
         """Return the squared distances (n, P) of inputs (n, m) to those of the reference."""

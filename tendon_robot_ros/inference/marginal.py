@@ -133,15 +133,14 @@ class Likelihood:
         self.kind, self.owners = random.remainder if remainder else None, random.others
         self.kinds = np.equal.outer(np.arange(len(random.kinds)), self.owners).astype(float)
         self.own, self.own_last, self.size2 = random.products
-        known = np.linalg.norm(slopes, axis=0)
-        self.shown, self.lengths = known > 1e-9, known[known > 1e-9]
-        slopes = slopes[:, known > 1e-9] / known[known > 1e-9]
-        more = np.column_stack([slopes, residual])
+        lengths = np.linalg.norm(slopes, axis=0)
+        self.shown, self.lengths = lengths > 1e-9, lengths[lengths > 1e-9]
+        more = np.column_stack([slopes[:, self.shown] / self.lengths, residual])
         self.more, self.more_last = np.split(random.columns.T @ more, [len(self.owners)])
         self.inner = more.T @ more
-        k = slopes.shape[1]
-        given = np.full(k, 1e-9) if weights is None else weights[known > 1e-9]
-        self.ridge = np.diag(given / (1.0 if weights is None else known[known > 1e-9] ** 2))
+        flat = np.full(len(self.lengths), 1e-9)
+        given = flat if weights is None else weights[self.shown] / self.lengths**2
+        self.ridge = np.diag(given)
         self._at: tuple[Floats, _Reduced] | None = None
         self._beside: tuple[float, tuple[Floats, Floats, Floats, Floats, float]] | None = None
 

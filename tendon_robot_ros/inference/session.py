@@ -195,8 +195,7 @@ class Session(Question):
         """
         if not fit.built.sizes[-1:].any():
             return self
-        straight = np.array([marker.offset for marker in self.dataset.markers])
-        straight[:, 2] += self.dataset.arc_lengths
+        straight = self.dataset.offsets + self.dataset.arc_lengths[:, None] * [0.0, 0.0, 1.0]
         distances = np.sqrt(np.square(fit.markers - straight).sum(axis=2).mean(axis=1))
         off = self.whitener.white(self.dataset.mean - fit.markers)
 
@@ -354,9 +353,8 @@ class Session(Question):
 
     def contains(self, large: Ranked, small: Ranked) -> bool:
         """Return whether the larger candidate can imitate the predictions of the smaller one."""
-        if small.names[0] in self.catalogue[large.names[0]].contains:
-            return True
-        if set(small.names) < set(large.names):
+        contained = self.catalogue[large.names[0]].contains
+        if small.names[0] in contained or set(small.names) < set(large.names):
             return True
         if large.fit.rank <= small.fit.rank:
             return False
