@@ -127,8 +127,7 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
     if not fit.as_built:
         return None
     sizes = fit.estimate(prior=Prior.NONE).values
-    slopes = fit.jacobian[: len(random.columns), : len(fit.all_frees)]
-    intervals = SizeIntervals(random, sizes, slopes, fit.precisions)
+    intervals = SizeIntervals(random, sizes, fit.slopes, fit.precisions)
     lows, highs = intervals.ends(sizes)
     usual_low, usual_high = intervals.ends(random.plausible)
     informative = (usual_high < SPAN_MAX * usual_low) & ((lows > 0.0) | np.isfinite(highs))

@@ -472,8 +472,8 @@ def is_hopeless(session: Session, current: Ranked, hints: Iterable[Hint]) -> boo
     if markers is None:
         return False
     residual = fitter.residual(markers)
-    own = current.fit.jacobian[:n, : len(current.fit.all_frees)]
-    columns = np.column_stack([own, *(column for hint in hints for column in hint.columns)])
+    more = (column for hint in hints for column in hint.columns)
+    columns = np.column_stack([current.fit.slopes, *more])
     rest = residual - columns @ np.linalg.lstsq(columns, residual)[0]
     left, error = rest @ rest - n + columns.shape[1], residual @ residual - n
     return bool(left > RESIDUAL_RATIO_MAX**2 * error)
@@ -487,11 +487,8 @@ def _gain(
 
     These are the parameters of the fit, by its Jacobian, and further ones by `columns` (N,).
     """
-    fitter, n = session.fitter, session.whitener.size
-    slopes = current.fit.jacobian[:n, : len(current.fit.all_frees)]
-    slopes = np.column_stack([slopes, *columns])
-    sizes = current.fit.built.sizes
-    estimated = session.random.estimate(fitter.residual(markers), slopes, sizes)
+    slopes, sizes = np.column_stack([current.fit.slopes, *columns]), current.fit.built.sizes
+    estimated = session.random.estimate(session.fitter.residual(markers), slopes, sizes)
     return float(current.fit.deviance - estimated.deviance)
 
 

@@ -92,6 +92,11 @@ class Fit:
         return len(ends) == 1 and np.atleast_1d(self.described)[0] in ends[0]
 
     @property
+    def slopes(self) -> Floats:
+        """Derivatives (N, k) of the whitened residual by the fitted parameters alone."""
+        return self.jacobian[: len(self.built.raw), : len(self.all_frees)]
+
+    @property
     def precisions(self) -> Floats:
         """Precision (k,) of the priors of the fitted parameters; of freed ones nearly zero."""
         return np.append(np.full(len(self.frees), 1e-9), [n.spread**-2 for n in self.nuisances])
@@ -117,9 +122,8 @@ class Fit:
 
     def estimate(self, remainder: bool = True, prior: Prior = Prior.SIZES) -> Sizes:
         """Estimate the sizes of the imperfections anew; see `RandomEffects.estimate`."""
-        raw, sizes = self.built.raw, self.built.sizes
-        slopes = self.jacobian[: len(raw), : len(self.all_frees)]
-        return self.built.random.estimate(raw, slopes, sizes, self.precisions, remainder, prior)
+        built, known = self.built, (self.slopes, self.built.sizes, self.precisions)
+        return built.random.estimate(built.raw, *known, remainder, prior)
 
     @cached_property
     def rank(self) -> int:
@@ -161,7 +165,7 @@ class Fit:
         random, sizes = self.built.random, self.built.sizes
         n, spread = len(random.columns), sizes[random.owners]
         raw = self.residual[:n] + (random.columns * spread) @ self.values[q:]
-        mixture = random.mixture(raw, self.jacobian[:n, :q], sizes, self.precisions)
+        mixture = random.mixture(raw, self.slopes, sizes, self.precisions)
         seen = np.isfinite(np.diag(plain))
         around = np.where(np.outer(seen, seen), mixture.covariance()[:k, :k], plain)
         sd = np.sqrt(np.diag(around))
