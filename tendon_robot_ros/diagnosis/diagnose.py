@@ -217,11 +217,11 @@ def _judge(question: Question) -> Diagnosis:
 
 def _mistaken(question: Question, mistake: Mistake) -> Diagnosis:
     """Return the diagnosis of a mistake; no effect is judged before it is corrected."""
-    before = rms_of(question.dataset, question.robot, question.catalogue)
-    diagnosis = _cannot_judge(question, mistake.text(before))
+    diagnosis = _cannot_judge(question, '')
+    text = mistake.text(diagnosis.error_before)
     fields = {key: value for key, value in vars(mistake).items() if key != 'mended'}
-    details = {**diagnosis.details, 'mistake': fields}
-    return replace(diagnosis, error_after=mistake.after, details=details)
+    details = {'needed': text, 'mistake': fields}
+    return replace(diagnosis, error_after=mistake.after, remainder=text, details=details)
 
 
 def _cannot_judge(question: Question, needed: str) -> Diagnosis:
