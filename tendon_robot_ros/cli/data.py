@@ -25,12 +25,15 @@ from ..data.folder import read_text, refuse_dataset_in
 from ..data.loading import Imported, draw_segments, import_bag, summary
 from ..data.path_files import read_moves
 from ..data.still_segments import Rule
+from ..effects import load_catalogue
 from ..report.pictures import draw_run
 from ..robot import load_robot
 from ..tables import import_table
 from ..tables.columns import UPS
+from ..tables.imported import frame_lines, labelled_lines
 from ..tables.markers import CHOICES
 from ..tables.recipe import INPUT_KINDS, METHODS, FrameChoice, Recipe, load_recipe
+from ..tables.registration import Placed
 from . import options
 from .options import emit, input_size, length, pairs, progress
 
@@ -144,10 +147,6 @@ def sizes(dataset: DataSet, folder: Path) -> dict[str, Any]:
 
 def placed(imported: Imported, method: str | None, up: str | None) -> tuple[DataSet, list[str]]:
     """Return the data set in the base frame, and lines about its registration."""
-    from ..effects import load_catalogue
-    from ..tables.imported import frame_lines, labelled_lines
-    from ..tables.registration import Placed
-
     known = imported.recording.in_base
     choice = FrameChoice(method or ('base' if known else None))
     try:
@@ -199,8 +198,6 @@ class ImportTable:
 
     def run(self, args: argparse.Namespace) -> int:
         """Import, tell, write."""
-        from ..effects import load_catalogue
-
         refuse_swapped(args)
         refuse_dataset_in(args.output, args.overwrite)
         recipe = load_recipe(args.recipe) if args.recipe else Recipe()

@@ -10,8 +10,9 @@ import argparse
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,20 +22,19 @@ from ..common.results import plain
 from ..common.words import PROGRAM, columns, other_unit
 from ..data.path_files import TendonRows, TipRows, write_path
 from ..drivers.tendon_check import STILL_TOLERANCE_M
+from ..model.model import Model
+from ..model.shape import Reach, Shape
 from ..model.tip_task import Preferences
+from ..report.page import Page
 from ..robot.description import tendon_offsets
 from ..robot.keep_out import load_keep_out
 from . import options
 from .options import emit, load_model, progress
 
-if TYPE_CHECKING:
-    from ..model.model import Model
-    from ..model.shape import Reach, Shape
-    from ..workspace.view_angle import Workspace
-
 WEIGHTS = 'low_tension', 'stiffness', 'slack', 'limit'
 FILES = ('postures.csv', 'workspace.npz', 'workspace.html')
-Result = tuple[dict[str, Any], list[str], Callable[[Path], None]]
+# what was found, lines of it, what saves it in a folder, its page, other files that may lie there
+Result = tuple[Any, list[str], Callable[[Any, Path], None], Callable[[Any], Page], tuple[str, ...]]
 
 
 class ShapeCommand:
@@ -293,16 +293,20 @@ class WorkspaceCommand:
                     f'--{name}: --view of an arm in a plane sweeps pairs in steps (--step); all '
                     'else samples all tendons (--postures, --cubes)'
                 )
-        content, lines, write = sweep_pairs(args, model) if in_pairs else sample_all(args, model)
+        explore = sweep_pairs if in_pairs else sample_all
+        found, lines, save, page, unfinished = explore(args, model)
         if folder:
-            write(folder)
+            with new_folder(folder, (*FILES, *unfinished)) as draft:
+                save(found, draft)
+                page(found).write(draft / FILES[2])
             lines.append(f'written: {", ".join(str(folder / name) for name in FILES)}')
-        emit(args, content, '\n'.join(lines))
+        emit(args, found.to_json(), '\n'.join(lines))
         return 0
 
 
 def sweep_pairs(args: argparse.Namespace, model: Model) -> Result:
     """Sweep pairs of inputs at view angles."""
+    from ..report.workspace_page import missing, rows, workspace_page
     from ..workspace.view_angle import Workspace, save_workspace
 
     with progress() as show:
@@ -315,22 +319,6 @@ def sweep_pairs(args: argparse.Namespace, model: Model) -> Result:
             limit=args.tension_max,
             progress=show,
         )
-
-    def write(folder: Path) -> None:
-        from ..report.workspace_page import workspace_page
-
-        page = workspace_page(workspace)
-        with new_folder(folder, FILES) as draft:
-            save_workspace(workspace, draft)
-            page.write(draft / FILES[2])
-
-    return workspace.to_json(), text(workspace), write
-
-
-def text(workspace: Workspace) -> list[str]:
-    """Return the table of pairs and what to know."""
-    from ..report.workspace_page import missing, rows
-
     size = (
         f'{workspace.postures:,} postures, {workspace.step:g} N apart up to {workspace.limit:g} N'
     )
@@ -339,7 +327,7 @@ def text(workspace: Workspace) -> list[str]:
         lines.append(columns(rows(workspace)))
     if workspace.unsolved:
         lines.append(f'without equilibrium and left out: {workspace.unsolved:,}')
-    return lines
+    return workspace, lines, save_workspace, workspace_page, ()
 
 
 def sample_all(args: argparse.Namespace, model: Model) -> Result:
@@ -367,14 +355,8 @@ def sample_all(args: argparse.Namespace, model: Model) -> Result:
             edge=None if args.cubes is None else options.length('--cubes', args.cubes, args.unit),
         )
         volume = Volume(sampling, show, workers, kept)
-
-    def write(folder: Path) -> None:
-        page = volume_page(volume)
-        with new_folder(folder, (*FILES, *KEPT)) as draft:
-            save_volume(volume, draft, FILES[:2])
-            page.write(draft / FILES[2])
-
-    return volume.to_json(), summary(volume), write
+    save = partial(save_volume, names=FILES[:2])
+    return volume, summary(volume), save, volume_page, KEPT
 
 
 class Sweep:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tqdm import tqdm
 
@@ -26,12 +26,11 @@ from ..data import DataSet, join, load_dataset
 from ..data.bag_reader import is_bag
 from ..data.folder import described_robot
 from ..data.loading import import_bag, summary
+from ..effects import Catalogue, load_catalogue
+from ..model.compile import say_where_it_compiles
+from ..model.model import Model
 from ..model.tip_task import UNIT_LENGTHS
 from ..robot import Robot, dump_robot, load_robot
-
-if TYPE_CHECKING:
-    from ..effects import Catalogue
-    from ..model.model import Model
 
 FRAME_TOLERANCES = ('position', 'rotation')  # of the tracker, in a robot.yaml
 DATA_HELP = 'data set (folder) or recording (folder, .mcap, .db3)'
@@ -86,9 +85,6 @@ def add_cluster(parser: argparse.ArgumentParser) -> None:
 
 def effects_of(args: argparse.Namespace) -> Catalogue:
     """Read the catalogue with the user's own effects; say it where the model compiles first."""
-    from ..effects import load_catalogue
-    from ..model.compile import say_where_it_compiles
-
     catalogue = load_catalogue(args.effect_file)
     say_where_it_compiles(catalogue)
     return catalogue
@@ -96,8 +92,6 @@ def effects_of(args: argparse.Namespace) -> Catalogue:
 
 def load_model(args: argparse.Namespace) -> Model:
     """Read the robot and make its model; the first one ever takes a while to compile."""
-    from ..model.model import Model
-
     return Model(load_robot(args.robot), effects_of(args))
 
 
