@@ -269,17 +269,13 @@ def tendons_of(
 ) -> list[dict[str, Any]]:
     """Spread the tendons of a section evenly; each section's stand between those of the last."""
     prefix = 'tendon' if sections == 1 else section
-    if many <= 2:
-        sides = {'right': radius, 'left': -radius}
-        return [
-            {'name': f'{prefix}_{side}', 'offset': [x, 0.0], 'section': section}
-            for side, x in list(sides.items())[:many]
-        ]
+    planar = many <= 2
+    names, first = ('right', 'left') if planar else range(1, many + 1), 0 if planar else index % 2
     tendons = []
-    for j in range(many):
-        angle = math.pi / many * (index % 2) + 2.0 * math.pi * j / many
+    for j, name in zip(range(many), names, strict=False):
+        angle = math.pi / many * (first + 2.0 * j)
         offset = [round(radius * math.cos(angle), 9), round(radius * math.sin(angle), 9)]
-        tendons.append({'name': f'{prefix}_{j + 1}', 'offset': offset, 'section': section})
+        tendons.append({'name': f'{prefix}_{name}', 'offset': offset, 'section': section})
     return tendons
 
 

@@ -16,7 +16,7 @@ example: python -m tendon_robot_ros simulate kato_10_1_single --output rehearsal
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -97,32 +97,21 @@ def run(args: argparse.Namespace) -> int:
         )
     if bool(args.output) == bool(args.table):
         raise InputError('--output DIR or --table CSV: expected one of them')
-    refuse_existing('--table', args.table, args.overwrite)
-    if args.table:
-        refuse_existing('--check', args.check, args.overwrite)
-    else:
-        for folder in filter(None, (args.output, args.check)):
-            refuse_dataset_in(folder, args.overwrite)
+    paths = [*filter(None, (args.output or args.table, args.check))]
+    for option, path in zip(('--table', '--check'), paths, strict=False):
+        if args.table:
+            refuse_existing(option, path, args.overwrite)
+        else:
+            refuse_dataset_in(path, args.overwrite)
     catalogue = load_catalogue(args.effect_file)
     work = Workmanship().times(0.0 if args.exact else args.level)
     work = work if args.scatter is None else replace(work, stiffness=args.scatter)
     plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=work)
-    if args.table:
-        return write_tables(args, plant)
-    written = {}
-    folders = [*filter(None, (args.output, args.check))]
-    datasets = [_measured(args, plant, which) for which in range(len(folders))]
-    for folder, dataset in zip(folders, datasets, strict=True):
-        save_dataset(dataset, folder, args.overwrite)
-        P, Q, J = dataset.positions.shape[:3]
-        written[folder] = f'{P} postures x {Q} trials x {J} markers'
-    return _conclude(args, plant, written, f'compare {args.output}')
-
-
-def _conclude(
-    args: argparse.Namespace, plant: Plant, written: dict[str, str], following: str
-) -> int:
-    """Print what was written, the hidden effects, how the arm is built, what to type next."""
+    write = write_tables if args.table else write_datasets
+    written = dict(zip(paths, write(args, plant, paths), strict=True))
+    following = f'import table {args.table} --robot {args.robot}'
+    if args.output:
+        following = f'compare {args.output}'
     built = [] if args.exact else list(plant.built.text(plant.robot))
     lines = [f'written: {path}: {what}' for path, what in written.items()]
     lines.append(f'hidden:  {", ".join(args.hidden) or "nothing"}')
@@ -131,12 +120,19 @@ def _conclude(
     return 0
 
 
-def write_tables(args: argparse.Namespace, plant: Plant) -> int:
-    """Write a table over time, and that of a check."""
+def write_datasets(args: argparse.Namespace, plant: Plant, folders: list[str]) -> Iterator[str]:
+    """Write a data set, and that of a check; yield the size of each."""
+    datasets = [_measured(args, plant, which) for which in range(len(folders))]
+    for folder, dataset in zip(folders, datasets, strict=True):
+        save_dataset(dataset, folder, args.overwrite)
+        yield '{} postures x {} trials x {} markers'.format(*dataset.positions.shape)
+
+
+def write_tables(args: argparse.Namespace, plant: Plant, paths: list[str]) -> Iterator[str]:
+    """Write a table over time, and that of a check; yield the size of each."""
     if args.input != 'tension' or args.path != 'from_straight':
         raise InputError('--table: of tensions and from straight only')
-    written = {}
-    for which, path in enumerate(filter(None, (args.table, args.check))):
+    for which, path in enumerate(paths):
         with progress() as show:
             names, values = raw_table(
                 plant,
@@ -150,8 +146,7 @@ def write_tables(args: argparse.Namespace, plant: Plant) -> int:
             )
         write_table(path, names, values)
         rows, columns = values.shape
-        written[path] = f'{rows:,} rows of {columns} columns, {values[-1, 0]:.0f} s'
-    return _conclude(args, plant, written, f'import table {args.table} --robot {args.robot}')
+        yield f'{rows:,} rows of {columns} columns, {values[-1, 0]:.0f} s'
 
 
 def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:

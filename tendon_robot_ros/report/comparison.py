@@ -43,14 +43,13 @@ FLOOR_FRACTION_MAX = 0.1
 def model_rows(comparison: Comparison, first: str) -> list[list[str]]:
     """Return the errors of all models and the noise floor, a row each; the head has `first`."""
     head = [first, 'rms', 'worst', f'tip error (mean ± {interval_name(comparison)})']
-    tips = [one.tip_error(comparison.error) for one in comparison.models]
-    rows = [
-        [label(one), mm(one.rms), mm(one.max), interval(tip.mean, tip.half)]
-        for one, tip in zip(comparison.models, tips, strict=True)
-    ]
+    rows = [head]
+    for one in comparison.models:
+        tip = one.tip_error(comparison.error)
+        rows.append([label(one), mm(one.rms), mm(one.max), interval(tip.mean, tip.half)])
     if comparison.noise_floor is not None:
         rows.append(['noise floor (a perfect model)', mm(comparison.noise_floor), '', ''])
-    return [head, *rows]
+    return rows
 
 
 def lines(comparison: Comparison) -> list[str]:

@@ -33,9 +33,7 @@ from ..common.words import columns, counted, digits, listed, mm, scale_of
 from ..common.workers import Workers
 from ..common.yaml_reading import parse_yaml
 from ..data import DataSet, load_dataset
-from ..data.bag_reader import is_bag
 from ..data.folder import described_robot
-from ..data.loading import import_bag
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding
 from ..diagnosis.verdict import Verdict
@@ -133,8 +131,7 @@ class Fleet(Study[FleetCase, FleetRow]):
     def result(self, case: FleetCase) -> dict[str, Any]:
         """Read and diagnose a recording or data set."""
         try:
-            bag = is_bag(case.path)
-            dataset = import_bag(case.path).dataset if bag else load_dataset(case.path)
+            dataset = load_dataset(case.path)
             return fields_of(dataset, diagnose(dataset, catalogue=catalogue_of(self.effects)))
         except TendonRobotError as error:  # a sentence for its user
             return {'verdict': ERROR, 'problem': ' '.join(str(error).split())}

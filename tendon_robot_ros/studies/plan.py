@@ -136,15 +136,14 @@ def plan_of(
         question=top.choice('question', QUESTIONS, DIAGNOSIS),
         effects=effects,
     )
-    for i, design in enumerate(setup.designs):
-        for arm in setup.arms:
-            if design.data is not None and design.data.robot.inputs != arm.robot.inputs:
-                raise top.error(
-                    f'designs[{i}].data',
-                    f'measurements of the inputs of {arm.robot.name}, '
-                    f'{", ".join(arm.robot.inputs)}',
-                    ', '.join(design.data.robot.inputs),
-                )
+    top.unique('robots', [arm.robot.name for arm in setup.arms])
+    top.unique('designs', [design.name for design in setup.designs])
+    top.unique('noise', [name for name, _ in setup.noises])
+    measured = {f'designs[{i}].data': one.data for i, one in enumerate(setup.designs) if one.data}
+    for (key, data), arm in itertools.product(measured.items(), setup.arms):
+        if data.robot.inputs != arm.robot.inputs:
+            own, given = (', '.join(robot.inputs) for robot in (arm.robot, data.robot))
+            raise top.error(key, f'measurements of the inputs of {arm.robot.name}, {own}', given)
     cases = tuple(cases_of(top, setup, catalogue))
     if not cases:
         raise top.error('seeds', 'at least one case: seeds of effects, or clean sets', 0)
@@ -153,7 +152,7 @@ def plan_of(
 
 def arms_of(top: PlanReader, folder: Path, catalogue: Catalogue) -> Iterator[PlannedRobot]:
     """Yield the robots of a plan."""
-    value, names = top.content.get('robots'), []
+    value = top.content.get('robots')
     if not isinstance(value, list) or not value:
         raise top.error('robots', 'a list of robot descriptions', value)
     for i, item in enumerate(value):
@@ -165,15 +164,12 @@ def arms_of(top: PlanReader, folder: Path, catalogue: Catalogue) -> Iterator[Pla
             raise entry.error('file', 'a robot description (YAML)', path)
         robot = load_robot(folder / path)
         down = entry.vector('down', 3) if entry.has('down') else None
-        names.append(robot.name)
         skips = entry.words('but', [*catalogue.names, *CAUSES], ())
         yield PlannedRobot(robot, down, tuple(skips))
-    top.unique('robots', names)
 
 
 def designs_of(top: PlanReader, folder: Path) -> Iterator[Design]:
     """Yield the designs of a plan."""
-    names = []
     for entry in top.entries('designs'):
         entry.only('name', 'postures', 'trials', 'markers', 'input', 'data')
         data = entry.content.get('data')
@@ -184,25 +180,21 @@ def designs_of(top: PlanReader, folder: Path) -> Iterator[Design]:
         markers = entry.count('markers', 0)
         placed = f'{markers} markers' if markers else 'a marker per cell'
         title = f'as {Path(data).name}' if data else f'{postures} postures x {trials} x {placed}'
-        names.append(entry.name('name') if entry.has('name') else title)
+        name = entry.name('name') if entry.has('name') else title
         measured = load_dataset(folder / data) if data else None
         kind = entry.choice('input', INPUTS, 'tension')
-        yield Design(names[-1], postures, trials, markers, kind, measured)
-    top.unique('designs', names)
+        yield Design(name, postures, trials, markers, kind, measured)
 
 
 def noises_of(top: PlanReader) -> Iterator[tuple[str, SimulatedNoise]]:
     """Yield the noises of a plan, by name."""
-    names = []
+    known = tuple(field.name for field in fields(SimulatedNoise))
     for entry in top.entries('noise'):
-        known = tuple(field.name for field in fields(SimulatedNoise))
         entry.only('name', *known)
         values = {key: entry.number(key, 0.0, 0.5) for key in known if entry.has(key)}
         one = SimulatedNoise(**values)
         title = f'{1e3 * one.position:.3g} mm, {100 * one.setting:.3g} %, {100 * one.trial:.3g} %'
-        names.append(entry.name('name') if entry.has('name') else title)
-        yield names[-1], one
-    top.unique('noise', names)
+        yield entry.name('name') if entry.has('name') else title, one
 
 
 def cases_of(top: PlanReader, setup: Setup, catalogue: Catalogue) -> Iterator[Case]:
