@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare nothing."""
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Print the script."""
     from .main import COMMANDS, GROUPS, WORDS
 
@@ -41,7 +41,6 @@ def run(args: argparse.Namespace) -> int:
         cases.append(f"    '{group} ') known='{members}';;")
     first = ' '.join(dict.fromkeys(first for first, _, _ in WORDS))
     print(SCRIPT.format(cases='\n'.join([*cases, f"    '') known='{first}';;"])))
-    return 0
 
 
 def options_of(place: str) -> list[str]:

@@ -98,7 +98,7 @@ class ImportBag:
         add('--frame', choices=METHODS, help=what)
         options.declare(parser, '--json')
 
-    def run(self, args: argparse.Namespace) -> int:
+    def run(self, args: argparse.Namespace) -> None:
         """Import the recording."""
         change, rest = input_size('--same', args.same), input_size('--rest', args.rest)
         limits = args.speed, args.duration, 1.0 if change is None else change
@@ -132,7 +132,6 @@ class ImportBag:
             lines.append(f'picture: {draw_segments(imported, args.picture)}')
         content = sizes(dataset, folder) | {'left_out': imported.left_out}
         emit(args, content, '\n'.join(lines))
-        return 0
 
 
 def sizes(dataset: DataSet, folder: Path) -> dict[str, Any]:
@@ -196,7 +195,7 @@ class ImportTable:
         add_columns(parser.add_argument_group('columns and units'))
         add_still(parser.add_argument_group('what is a measurement'))
 
-    def run(self, args: argparse.Namespace) -> int:
+    def run(self, args: argparse.Namespace) -> None:
         """Import, tell, write."""
         refuse_swapped(args)
         refuse_dataset_in(args.output, args.overwrite)
@@ -223,7 +222,6 @@ class ImportTable:
             f'{text}\nwritten: {folder}    every choice: {folder}/import.yaml    look: '
             f'{folder}/import.png\nnext:    {PROGRAM} compare {folder}',
         )
-        return 0
 
 
 def add_columns(group: argparse._ArgumentGroup) -> None:
@@ -402,7 +400,7 @@ class ExportBag:
             add(f'--{name}', type=float, default=value, help=f'{text} (default: {value:g})')
         options.declare(parser, '--json')
 
-    def run(self, args: argparse.Namespace) -> int:
+    def run(self, args: argparse.Namespace) -> None:
         """Write the recording."""
         timing = Timing(args.hold, args.move, args.rate)
         if not (0 < timing.hold < 1e4 and 0 < timing.move < 1e4 and 4 <= timing.rate <= 1e4):
@@ -416,7 +414,6 @@ class ExportBag:
             path = export_bag(dataset, args.output, args.storage, timing)
         text = f'{dataset.trials.sum()} measurements, {len(dataset.postures)} postures'
         emit(args, sizes(dataset, path), f'{text}\nwritten: {path}')
-        return 0
 
 
 class Plot:
@@ -434,7 +431,7 @@ class Plot:
         options.add_file(parser, '--output', '(default: BAG.png)', 'PNG')
         options.declare(parser, '--json')
 
-    def run(self, args: argparse.Namespace) -> int:
+    def run(self, args: argparse.Namespace) -> None:
         """Read and draw."""
         bag = Path(args.bag)
         output = Path(args.output or f'{bag.parent / bag.stem}.png')
@@ -455,4 +452,3 @@ class Plot:
         picture = draw_run(path_run, output, f'{bag.name}, {seconds:.1f} s')
         content = {'seconds': seconds, **counts, 'measured': path_run.measured}
         emit(args, content | {'picture': str(picture)}, f'{text}\npicture: {picture}')
-        return 0

@@ -63,7 +63,7 @@ class Compare:
         options.add_report(parser)
         options.declare(parser, '--json', '--effect-file')
 
-    def run(self, args: argparse.Namespace) -> int:
+    def run(self, args: argparse.Namespace) -> None:
         """Compare and print."""
         robot = args.model[0] if args.model else None
         with options.progress() as show:
@@ -75,7 +75,6 @@ class Compare:
         if args.report:
             text += f'\nreport: {comparison_page(comparison).write(args.report)}'
         options.emit(args, to_json(comparison), text)
-        return 0
 
 
 def named_models(args: argparse.Namespace, dataset: DataSet) -> list[tuple[str, Robot]]:
@@ -265,7 +264,7 @@ class Remove:
         options.add_file(parser, '--output', 'the new description', 'NEW', required=True)
         options.declare(parser, '--json', '--overwrite')
 
-    def run(self, args: argparse.Namespace) -> int:
+    def run(self, args: argparse.Namespace) -> None:
         """Remove and write."""
         options.refuse_existing('--output', args.output, args.overwrite)
         robot, back = restore(load_robot(args.robot), args.effect)
@@ -278,7 +277,6 @@ class Remove:
             )
         content = {'effect': args.effect, 'restored': back, 'written': args.output}
         options.emit(args, content, f'{text}\nwritten: {args.output}')
-        return 0
 
 
 class Improve:

@@ -2,9 +2,9 @@
 Choose a command by its name and run it.
 
 A command is a class (``module:Class``), or a module of its own, with ``HELP`` (one line),
-``add_arguments(parser)`` and ``run(args) -> int`` (the exit code); in ``ros/`` it has ``HELP`` and
-``main(argv) -> int``, or ``add_arguments`` and ``run(args, ros_arguments) -> int`` where it takes
-more than parameters.
+``add_arguments(parser)`` and ``run(args)``, which returns the exit code where it may be another
+than 0; in ``ros/`` it has ``HELP`` and ``main(argv) -> int``, or ``add_arguments`` and
+``run(args, ros_arguments)`` where it takes more than parameters.
 Only the chosen module is imported, so that no command pays for another one's dependencies;
 for the list of commands, ``HELP`` is read from the source.
 """
@@ -275,7 +275,7 @@ def run_command(name: str, arguments: list[str], program: str) -> int:
     command = command_of(COMMANDS[name])
     parser = Parser(prog=program, description=_documentation(COMMANDS[name]))
     command.add_arguments(parser)
-    return int(command.run(parser.parse_args(_with_new_options(name, arguments))))
+    return int(command.run(parser.parse_args(_with_new_options(name, arguments))) or 0)
 
 
 def _renamed(old: str, new: str) -> str:
@@ -335,7 +335,7 @@ def run_node(place: str, arguments: list[str], program: str) -> int:
     if not takes_more:
         return int(command.main(arguments))
     command.add_arguments(parser)
-    return int(command.run(parser.parse_args(own), ros_arguments))
+    return int(command.run(parser.parse_args(own), ros_arguments) or 0)
 
 
 def source_of(place: str) -> Path:

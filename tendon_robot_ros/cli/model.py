@@ -64,7 +64,7 @@ class ShapeCommand:
         parser.add_argument('--beyond-limits', action='store_true', help=what)
         options.declare(parser, '--unit', '--json')
 
-    def run(self, args: argparse.Namespace) -> int:
+    def run(self, args: argparse.Namespace) -> None:
         """Solve and print."""
         if args.tensions is not None:
             tensions = options.named_numbers('--tensions', args.tensions, 'N')
@@ -91,7 +91,6 @@ class ShapeCommand:
                 )
             shape = model.pull_shape(pulls)
         emit(args, shape_content(model, shape), shape_table(model, shape))
-        return 0
 
 
 def shape_content(model: Model, shape: Shape) -> dict[str, Any]:
@@ -166,7 +165,7 @@ class ReachCommand:
         add('--prefer', metavar='NAME=WEIGHT,...', help=what)
         options.declare(parser, '--unit', '--json')
 
-    def run(self, args: argparse.Namespace) -> int:
+    def run(self, args: argparse.Namespace) -> None:
         """Search and print."""
         position, along = (
             None if parts is None else ','.join(part.strip(',') for part in parts)
@@ -181,7 +180,6 @@ class ReachCommand:
         regions = load_keep_out(args.keep_out) if args.keep_out else None
         reach = model.reach(target, direction, preferences=wants, keep_out=regions)
         emit(args, reach_content(model, reach), reach_table(model, reach))
-        return 0
 
 
 def preferences(text: str | None) -> Preferences | None:
@@ -276,7 +274,7 @@ class WorkspaceCommand:
         options.add_cluster(parser)
         options.declare(parser, '--unit', '--json')
 
-    def run(self, args: argparse.Namespace) -> int:
+    def run(self, args: argparse.Namespace) -> None:
         """Sample or sweep, print, write."""
         folder = Path(args.output) if args.output else None
         if folder and folder.exists() and not args.overwrite:
@@ -301,7 +299,6 @@ class WorkspaceCommand:
                 page(found).write(draft / FILES[2])
             lines.append(f'written: {", ".join(str(folder / name) for name in FILES)}')
         emit(args, found.to_json(), '\n'.join(lines))
-        return 0
 
 
 def sweep_pairs(args: argparse.Namespace, model: Model) -> Result:
@@ -383,7 +380,7 @@ class Sweep:
         add('--tensions', action='store_true', help='tensions instead of tip targets')
         options.add_file(parser, '--output', '(default: sweep.csv)', 'CSV', default='sweep.csv')
 
-    def run(self, args: argparse.Namespace) -> int:
+    def run(self, args: argparse.Namespace) -> None:
         """Find the postures and write them."""
         from ..paths.path import Pace, stretched
         from ..workspace.view_angle import look_around
@@ -412,7 +409,6 @@ class Sweep:
         text = f'{len(shapes)} postures at the {args.view:g}° view; tip {spans} mm'
         following = f'next: {PROGRAM} follow {args.output}'
         emit(args, content, f'{text}\nwritten: {args.output}   {following}')
-        return 0
 
 
 class ExportMjcf:
@@ -436,7 +432,7 @@ class ExportMjcf:
         parser.add_argument('out', nargs='?', type=file_to_write('OUT'), metavar='OUT', help=what)
         options.declare(parser, '--overwrite', '--effect-file')
 
-    def run(self, args: argparse.Namespace) -> int:
+    def run(self, args: argparse.Namespace) -> None:
         """Write or print."""
         from ..model.mjcf import mjcf
 
@@ -447,4 +443,3 @@ class ExportMjcf:
         else:
             write_text(args.out, text)
             print(f'written: {args.out}')
-        return 0

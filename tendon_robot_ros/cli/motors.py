@@ -120,15 +120,15 @@ class Calibrate:
         if Path(args.output).exists():
             _content(args.output)  # lines of other tendons in it are kept
         try:
-            return calibrate_cell(args) if args.kind == 'serial' else calibrate_motor(args)
+            calibrate = calibrate_cell if args.kind == 'serial' else calibrate_motor
+            calibrate(args)
         except ModuleNotFoundError as error:
             raise MissingExtraError(error.name or args.kind, args.kind) from None
+        return 0
 
 
 def find_files(args: argparse.Namespace) -> None:
     """Fill in missing arguments from the only description and configuration in this folder."""
-    if args.robot is not None and args.config is not None and args.kind is not None:
-        return
     contents: dict[str, dict[str, Any]] = {}
     for path in sorted(Path().glob('*.yaml')):
         with suppress(InputError):
@@ -204,7 +204,7 @@ def _content(path: str) -> dict[str, Any]:
     return content
 
 
-def calibrate_motor(args: argparse.Namespace) -> int:
+def calibrate_motor(args: argparse.Namespace) -> None:
     """Measure currents under weights, fit two lines, write and draw them."""
     from ..drivers.dynamixel.config import fit_current, to_mapping
     from ..drivers.dynamixel.motions import wind_weight
@@ -239,7 +239,6 @@ def calibrate_motor(args: argparse.Namespace) -> int:
     text.append(f'written: {args.output}, {picture}')
     content = {'lines': lines, 'half_gap': half_gap, 'written': args.output}
     emit(args, content, '\n'.join(text))
-    return 0
 
 
 def chosen(args: argparse.Namespace, tendons: Sequence[Any]) -> Any:
@@ -308,7 +307,7 @@ def draw(fitted: Calibration, points: list[CurrentPoint], tendon: str, path: Pat
         figure.savefig(draft, dpi=dots)
 
 
-def calibrate_cell(args: argparse.Namespace) -> int:
+def calibrate_cell(args: argparse.Namespace) -> None:
     """Measure counts under weights, fit a line and write it."""
     from ..drivers.serial_board.config import cell_mapping, fit_counts, read_config
     from ..drivers.serial_board.link import BoardLink
@@ -338,7 +337,6 @@ def calibrate_cell(args: argparse.Namespace) -> int:
     line = cell_mapping(cell, points)
     _write(Path(args.output), args.tendon, line, CELL_UNITS)
     emit(args, {'line': line, 'written': args.output}, f'{text}\nwritten: {args.output}')
-    return 0
 
 
 class Emulate:
@@ -373,7 +371,7 @@ class Emulate:
         add('--ends-with-input', action='store_true', help='end when the standard input ends')
         add_file(parser, '--output', 'write a configuration for the driver')
 
-    def run(self, args: argparse.Namespace) -> int:
+    def run(self, args: argparse.Namespace) -> None:
         """Serve until the input says quit or a signal comes."""
         emulated = emulated_servos if args.kind == 'dynamixel' else emulated_board
         plug, config, words = emulated(args, load_robot(args.robot))
@@ -392,7 +390,6 @@ class Emulate:
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
-        return 0
 
 
 # port, configuration for the driver, description

@@ -411,7 +411,7 @@ class Describe:
         parser.add_argument('--urdf', action='store_true', help='print a URDF')
         declare(parser, '--json')
 
-    def run(self, args: argparse.Namespace) -> int:
+    def run(self, args: argparse.Namespace) -> None:
         """Read and print."""
         robot = load_robot(args.robot)
         if args.urdf:
@@ -420,7 +420,6 @@ class Describe:
             print(urdf(robot))
         else:
             emit(args, yaml.safe_load(dump_robot(robot)), description(robot))
-        return 0
 
 
 def description(robot: Robot) -> str:

@@ -85,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     declare(parser, '--json', '--effect-file')
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Write the data sets."""
     robot = load_robot(args.robot)
     if gravity := vector('--gravity', args.gravity or None):
@@ -117,7 +117,6 @@ def run(args: argparse.Namespace) -> int:
     lines.append(f'hidden:  {", ".join(args.hidden) or "nothing"}')
     lines += [*(f'built:   {line}' for line in built), f'next:    {PROGRAM} {following}']
     emit(args, {'written': written, 'hidden': args.hidden, 'built': built}, '\n'.join(lines))
-    return 0
 
 
 def write_datasets(args: argparse.Namespace, plant: Plant, folders: list[str]) -> Iterator[str]:

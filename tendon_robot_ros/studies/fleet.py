@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     declare(parser, '--json', '--effect-file')
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Diagnose what is new, print, write."""
     folder, output = Path(args.folder), Path(args.output)
     places, inside = datasets_below(folder), output.resolve()
@@ -79,7 +79,6 @@ def run(args: argparse.Namespace) -> int:
     left_out = [f'left out: {line}' for line in problems(rows)]
     text = [columns(fleet_rows(rows)), *change_lines(rows), *left_out]
     emit(args, content, '\n'.join([*text, f'written: {output}/table, {page}']))
-    return 0
 
 
 @dataclass(frozen=True, kw_only=True)

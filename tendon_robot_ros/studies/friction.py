@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.declare(parser, '--json', '--overwrite')
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Read, compute, write."""
     if (args.robot is None) != (args.output is None):
         raise InputError('friction: --robot and --output go together; give both or neither')
@@ -59,7 +59,6 @@ def run(args: argparse.Namespace) -> int:
         options.write_description(robot, args.output)
         text.append(options.next_step(args.output))
     options.emit(args, friction.to_json(), '\n'.join(text))
-    return 0
 
 
 def lines(friction: SlipFriction) -> list[str]:

@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     declare(parser, '--json')
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Run everything, print the table, write the page."""
     folder = Path(args.output)
     if folder.exists() and any(folder.iterdir()) and not args.overwrite:
@@ -75,7 +75,6 @@ def run(args: argparse.Namespace) -> int:
     table = columns([row[:-1] for row in cells])  # without the reasons, which are long
     written = ', '.join(str(folder / name) for name in PAPER_FILES)
     emit(args, paper.to_json(), f'{table}\nwritten: {written}')
-    return 0
 
 
 @dataclass(frozen=True)

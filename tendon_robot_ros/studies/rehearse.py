@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     declare(parser, '--effect-file')
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> None:
     """Investigate, write, print."""
     robot, catalogue = load_robot(args.robot), load_catalogue(args.effect_file)
     goal = goal_of(args, tuple(args.effect_file))
@@ -77,7 +77,6 @@ def run(args: argparse.Namespace) -> int:
         arm, goal, folder, regions, lambda kind, text, content: narrate(args, text), args.resume
     ).run()
     emit(args, investigation.to_json(), '\n'.join(investigation.write_results()))
-    return 0
 
 
 @dataclass
