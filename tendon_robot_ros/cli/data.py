@@ -130,8 +130,7 @@ class ImportBag:
         lines = [summary(imported), *lines, f'written: {folder}']
         if args.picture:
             lines.append(f'picture: {draw_segments(imported, args.picture)}')
-        content = sizes(dataset, folder) | {'left_out': imported.left_out}
-        emit(args, content, '\n'.join(lines))
+        emit(args, sizes(dataset, folder) | {'left_out': imported.left_out}, '\n'.join(lines))
 
 
 def sizes(dataset: DataSet, folder: Path) -> dict[str, Any]:

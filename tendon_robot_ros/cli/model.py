@@ -284,8 +284,7 @@ class WorkspaceCommand:
                 raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
         model = load_model(args)
         in_pairs = bool(args.view) and not tendon_offsets(model.robot)[..., 1].any()
-        unused = ('postures', 'cubes') if in_pairs else ('step',)
-        for name in unused:
+        for name in ('postures', 'cubes') if in_pairs else ('step',):
             if getattr(args, name) is not None:
                 raise InputError(
                     f'--{name}: --view of an arm in a plane sweeps pairs in steps (--step); all '

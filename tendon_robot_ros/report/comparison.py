@@ -42,8 +42,7 @@ FLOOR_FRACTION_MAX = 0.1
 
 def model_rows(comparison: Comparison, first: str) -> list[list[str]]:
     """Return the errors of all models and the noise floor, a row each; the head has `first`."""
-    head = [first, 'rms', 'worst', f'tip error (mean ± {interval_name(comparison)})']
-    rows = [head]
+    rows = [[first, 'rms', 'worst', f'tip error (mean ± {interval_name(comparison)})']]
     for one in comparison.models:
         tip = one.tip_error(comparison.error)
         rows.append([label(one), mm(one.rms), mm(one.max), interval(tip.mean, tip.half)])
@@ -181,8 +180,7 @@ def comparison_page(comparison: Comparison) -> Page:
     measured = comparison.measured
     page = Page(f'Models against measurements: {measured.data}', size(comparison))
     add_verdict(page, comparison)
-    excluded = excluded_lines({'outliers': measured.left_out})
-    page.text(*(f'{capital(line)}.' for line in excluded))
+    page.text(*(f'{capital(one)}.' for one in excluded_lines({'outliers': measured.left_out})))
     page.heading('Where the models are off')
     figures = [per_marker(comparison), per_posture(comparison), tip_boxes(comparison)]
     figures.append(staircase(steps(comparison), 'Models and noise floor'))
@@ -219,8 +217,7 @@ def steps(comparison: Comparison) -> list[Step]:
 
 def add_loops(page: Page, comparison: Comparison) -> None:
     """Add the loops of a sequence, which show what the arm remembers."""
-    figures = loops(comparison)
-    if figures:
+    if figures := loops(comparison):
         page.heading('What the arm remembers')
         page.text(
             'The tip while an input goes and returns, in the order of the sequence. Where the '

@@ -74,8 +74,7 @@ def pictures_of(
         if diagnosis_text.with_arm(diagnosis):
             name += ' and the arm as found' if addition else ' alone'
         models.append((name, after))
-    unsettled = set(diagnosis.details.get('unsettled') or ())
-    if unsettled:
+    if unsettled := set(diagnosis.details.get('unsettled') or ()):
         dataset = dataset.select(set(dataset.postures) - unsettled)
     try:
         comparison = compare(dataset, models, catalogue)
@@ -117,8 +116,7 @@ def diagnosis_page(
         add_alternatives(page, diagnosis)
     if pictures is not None:
         add_pictures(page, pictures, diagnosis)
-    sentences = [*diagnosis_text.declared(diagnosis), *trust_lines(diagnosis)]
-    if sentences:
+    if sentences := [*diagnosis_text.declared(diagnosis), *trust_lines(diagnosis)]:
         page.heading('What this rests on')
         page.text(*map(capital, sentences))
     return page
@@ -131,11 +129,9 @@ def add_verdict(page: Page, diagnosis: Diagnosis, outcome: str = '') -> None:
         error_lines = [line.replace('->', '→') for line in diagnosis_text.errors(diagnosis)]
         lines += [*map(capital, error_lines), diagnosis.remainder]
     page.box(lines, f'verdict {diagnosis.verdict.colour}')
-    caveats = [f'{capital(caveat)}.' for caveat in diagnosis.details.get('caveats', ())]
-    if caveats:
+    if caveats := [f'{capital(caveat)}.' for caveat in diagnosis.details.get('caveats', ())]:
         page.box(caveats, 'warn', 'Mind')
-    following = next_measurement(diagnosis)
-    if following:
+    if following := next_measurement(diagnosis):
         page.box([following], 'warn', 'Next measurement')
     page.text(*filter(None, [outcome or to_do(diagnosis)]))
 
@@ -154,8 +150,7 @@ def add_staircase(page: Page, diagnosis: Diagnosis, addition: Addition | None) -
     """Add the errors before and after, and those of a perfect model."""
     if not diagnosis.effects:
         return
-    partly = not diagnosis.adds
-    page.heading('A part of the error falls' if partly else 'The error falls')
+    page.heading('The error falls' if diagnosis.adds else 'A part of the error falls')
     if addition is None:
         alone = diagnosis.error_alone if diagnosis_text.with_arm(diagnosis) else None
         steps = falling(
@@ -196,8 +191,7 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
         page.box(map(capital, lines), 'warn', 'Cannot be told apart')
     elif alike:
         page.text(f'{capital(alike)}.')
-    candidates = sorted(diagnosis.candidates, key=lambda row: row.status != 'best')
-    if candidates:
+    if candidates := sorted(diagnosis.candidates, key=lambda row: row.status != 'best'):
         kinds = [{'best': 'strong', 'rejected': 'faint'}.get(one.status, '') for one in candidates]
         with_arm = diagnosis_text.with_arm(diagnosis)
         with_what = 'the effect and the arm as it was found' if with_arm else 'the effect'

@@ -275,8 +275,7 @@ def alike(diagnosis: Diagnosis) -> str:
         ratio = 'more than 10^100' if log10 > 100.0 else f'10^{round(log10)}'
         ratio = ratio if log10 >= 3.0 else digits(10.0**log10, 2)
         parts.append(f'next best, {best["name"]}, is {ratio} times less likely')
-    wider = diagnosis.details.get('wider') or []
-    if wider:
+    if wider := diagnosis.details.get('wider') or []:
         does = 'does' if len(wider) == 1 else 'do'
         parts.append(f'{listed(wider)} {does} the same with more parameters')
     if diagnosis.verdict is Verdict.AMBIGUOUS:

@@ -266,6 +266,5 @@ def moments(lacks: MissingMoment) -> list[Figure]:
             points = plain(cause[:, b]), plain(lacks.moment[:, b], 1e3)
             data.append(trace(*points, name, 'markers', error_y=bars, marker=symbols(b, 8)))
         x, y = titled(title, rangemode='tozero'), titled('missing moment [mN·m]', zeroline=True)
-        layout = axes(x, y)
-        figures.append(Figure(data, layout, '', caption))
+        figures.append(Figure(data, axes(x, y), '', caption))
     return figures

@@ -220,8 +220,7 @@ def as_built(report: Mapping[str, Any] | None) -> list[str]:
     ]
     if strange:
         lines.append(f'out of line with the others: {listed(strange)}')
-    hidden = [KIND_NAMES[kind['kind']] for kind in report['kinds'] if not kind['told']]
-    if hidden:
+    if hidden := [KIND_NAMES[kind['kind']] for kind in report['kinds'] if not kind['told']]:
         lines.append(f'these measurements do not tell: {", ".join(hidden)}')
     return lines
 

@@ -133,8 +133,7 @@ def workspace_page(workspace: Workspace) -> Page:
         f'{workspace.postures:,} postures; tensions from {workspace.pretension:g} to '
         f'{workspace.limit:g} N in steps of {workspace.step:g} N',
     )
-    lacking = missing(workspace)
-    if lacking:
+    if lacking := missing(workspace):
         page.box(lacking, 'warn')
     if workspace.families:
         page.table(rows(workspace), left=(1, 2))

@@ -127,14 +127,13 @@ def simulate(
 
     split = None
     if path == 'visits':  # every posture as many times as there are trials, in a random order
-        order = random.permutation(np.repeat(np.arange(len(labels)), trials))
-        trial = np.array([int((order[:v] == command).sum()) for v, command in enumerate(order)])
-        split = split_by_order(labels, order, trial, np.ones(len(order), dtype=bool))
-        command, trial = split.command[split.posture], split.visits.trials
+        command = random.permutation(np.repeat(np.arange(len(labels)), trials))
+        trial = np.array([int((command[:v] == one).sum()) for v, one in enumerate(command)])
+        split = split_by_order(labels, command, trial, np.ones(len(command), dtype=bool))
         setting = random.normal(size=(len(split.postures), rows.shape[1]))[split.posture]
         each = noise.trial * random.normal(size=rows[command].shape)
         used = disturbed(robot, rows[command], kind, noise.setting * setting, each)
-        positions = np.empty((int(command.max()) + 1, int(trial.max()) + 1, len(chosen), 3))
+        positions = np.empty((len(rows), trials, len(chosen), 3))
         positions[command, trial] = observed(used[None], True)[0]
     else:
         setting, trial = random.normal(size=rows.shape), random.normal(size=(trials, *rows.shape))

@@ -129,8 +129,7 @@ def rate_lines(rows: Sequence[CaseRow]) -> list[str]:
 def summary(rows: Sequence[CaseRow]) -> list[str]:
     """Return the table by hidden effect and the rates."""
     texts = rate_lines(rows)
-    named = [max(len(row.group), 1) for row in rows if row.right and row.effects]
-    if named:
+    if named := [max(len(row.group), 1) for row in rows if row.right and row.effects]:
         texts.append(f'members of a class that is right, mean: {np.mean(named):.1f}')
     seconds = np.median([row.seconds for row in rows])
     texts.append(f'a diagnosis, median: {seconds:.2g} s of processor time')

@@ -155,8 +155,7 @@ def described(case: Case, arm: PlannedRobot, catalogue: Catalogue) -> Robot:
     if 'gravity' in needs(case.hidden, catalogue) and arm.down is not None:
         robot = replace(robot, gravity=arm.down)
     known = {'cell_stiffness': case.scatter} if case.declared else {}
-    tolerances = {**robot.tolerances, **known}
-    return replace(robot, tolerances=tolerances, exact=case.exact)
+    return replace(robot, tolerances={**robot.tolerances, **known}, exact=case.exact)
 
 
 def needs(hidden: str, catalogue: Catalogue) -> str:

@@ -67,8 +67,7 @@ def run(args: argparse.Namespace) -> None:
     places, inside = datasets_below(folder), output.resolve()
     study = Fleet(question='fleet', effects=UserEffect.read(args.effect_file))
     below = [place for place in places if inside not in place.resolve().parents]
-    judge = {**versions(study.effects)}
-    cases = [FleetCase.of(place, folder, judge) for place in below]
+    cases = [FleetCase.of(place, folder, {**versions(study.effects)}) for place in below]
     prepare = Preparation.of_this_process(study.effects)
     with Workers(args.workers, args.cluster, prepare) as workers, progress(True) as show:
         table = GrowingTable(output / TABLE, FleetRow)

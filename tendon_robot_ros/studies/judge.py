@@ -206,8 +206,7 @@ def fitted(case: Case, sim: Simulated) -> dict[str, Any]:
 
 
 def _beside_truth(sim: Simulated, values: Mapping[str, Value]) -> dict[str, Any]:
-    truth = tuple(truth_of(sim, values).values())
-    return {**fitted_values(values), 'truth': truth}
+    return {**fitted_values(values), 'truth': tuple(truth_of(sim, values).values())}
 
 
 def removed_fraction(diagnosis: Diagnosis, sim: Simulated) -> float | None:

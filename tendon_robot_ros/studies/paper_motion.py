@@ -233,8 +233,7 @@ def across(robot: Robot, pair: Pair) -> Range:
     """
     step, low = Published.TENSION_STEP_N, Published.PRETENSION_N
     wide = np.radians(max(Assumed.VIEW_TOLERANCES_DEG))
-    views = Published.VIEW_ANGLES_RAD[:1]
-    workspace = Workspace(Model(robot), views, step, low, wide, [pair])
+    workspace = Workspace(Model(robot), Published.VIEW_ANGLES_RAD[:1], step, low, wide, [pair])
     spans = []  # [m] along x, of the postures near enough to the view
     for tolerance in Assumed.VIEW_TOLERANCES_DEG:
         near = np.zeros(0)

@@ -280,8 +280,7 @@ def diagnose_and_measure(robot: Robot, seed: int) -> list[Diagnosis]:
     diagnoses = [diagnose(measured(robot, postures, seed))]
     while len(diagnoses) <= Assumed.DIAGNOSIS_ROUNDS and diagnoses[-1].next_measurement:
         following = diagnoses[-1].next_measurement.input
-        inputs = tuple(following[name] for name in robot.inputs)
-        postures[f'asked for {len(diagnoses)}'] = inputs
+        postures[f'asked for {len(diagnoses)}'] = tuple(following[name] for name in robot.inputs)
         diagnoses.append(diagnose(measured(robot, postures, seed)))
     return diagnoses
 

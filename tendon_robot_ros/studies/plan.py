@@ -321,8 +321,7 @@ def claim(folder: Path, plan: CampaignPlan, accept_change: bool = False) -> None
     if path.is_file():
         theirs = _content(folder)
         earlier, before = theirs['earlier'], theirs['contents']
-        changed = [key for key in contents if before.get(key, contents[key]) != contents[key]]
-        if changed:
+        if changed := [key for key in contents if before.get(key, contents[key]) != contents[key]]:
             raise InputError(
                 f'{folder}: was run with another {", ".join(changed)}; use another --output'
             )
