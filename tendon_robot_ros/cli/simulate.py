@@ -109,9 +109,8 @@ def run(args: argparse.Namespace) -> None:
     plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=work)
     write = write_tables if args.table else write_datasets
     written = dict(zip(paths, write(args, plant, paths), strict=True))
-    following = f'import table {args.table} --robot {args.robot}'
-    if args.output:
-        following = f'compare {args.output}'
+    table = f'import table {args.table} --robot {args.robot}'
+    following = f'compare {args.output}' if args.output else table
     built = [] if args.exact else list(plant.built.text(plant.robot))
     lines = [f'written: {path}: {what}' for path, what in written.items()]
     lines.append(f'hidden:  {", ".join(args.hidden) or "nothing"}')
