@@ -7,7 +7,6 @@ import bag, import table, export bag; plot.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from dataclasses import replace
 from itertools import pairwise
@@ -287,32 +286,30 @@ def add_still(group: argparse._ArgumentGroup) -> None:
 def refuse_swapped(args: argparse.Namespace) -> None:
     """Raise InputError, before any work, if a path is another kind of file or a folder."""
     for path in args.raw:
+        place, folder = Path(path), Path(path).parent
         if path.lower().endswith(YAML_ENDINGS):
             raise InputError(
                 f'{path}: is no table; a robot description goes behind --robot, an import.yaml '
                 'behind --recipe'
             )
-        if os.path.isdir(path):
-            remedy = (
-                f'compare it: {PROGRAM} compare {path}'
-                if os.path.isfile(os.path.join(path, 'dataset.yaml'))
-                else 'name the tables in it; the folder to write goes behind --output'
-            )
+        if place.is_dir():
+            remedy = 'name the tables in it; the folder to write goes behind --output'
+            if (place / 'dataset.yaml').is_file():
+                remedy = f'compare it: {PROGRAM} compare {path}'
             raise InputError(f'{path}: is a folder, and no table; {remedy}')
-        if os.path.isfile(os.path.join(os.path.dirname(path), 'dataset.yaml')):
-            folder = os.path.dirname(path) or '.'
+        if (folder / 'dataset.yaml').is_file():
             raise InputError(
                 f'{path}: belongs to the data set {folder}, which needs no import; compare it: '
                 f'{PROGRAM} compare {folder}'
             )
-        if not os.path.splitext(path)[1] and not os.path.exists(path):
+        if not place.suffix and not place.exists():
             raise InputError(
                 f'{path}: is not there; tables stand first, the folder to write behind --output'
             )
     for option, path in (('--robot', args.robot), ('--recipe', args.recipe)):
         if path and path.lower().endswith(TABLE_ENDINGS):
             raise InputError(f'{option} {path}: is a table; tables stand alone, without an option')
-    if os.path.isfile(args.output) or args.output.lower().endswith(TABLE_ENDINGS):
+    if Path(args.output).is_file() or args.output.lower().endswith(TABLE_ENDINGS):
         raise InputError(
             f'--output {args.output}: expected the folder to write; tables stand alone, without '
             'an option'

@@ -9,7 +9,6 @@ from ..common.errors import MissingExtraError
 from ..diagnosis.add import add_effects
 from ..diagnosis.diagnose import diagnose
 from ..effects import load_catalogue
-from ..simulation.hidden import STIFFNESS_SCATTER
 from ..simulation.measurements import simulate
 from ..simulation.plant import make_plant
 from ..simulation.rehearsal import Story, add_story, cast, reveal
@@ -29,7 +28,7 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     catalogue = load_catalogue()
     robot, hidden, seed = cast(args, catalogue)
     print('no ROS: the mock arm is measured directly, without driver, controller and monitor')
-    plant = make_plant(robot, hidden.plant, scatter=STIFFNESS_SCATTER, seed=seed)
+    plant = make_plant(robot, hidden.plant, seed=seed)
     with progress() as show:
         fit, check = (
             simulate(plant, default_postures(robot, count, which), seed=2 * seed + which)

@@ -137,15 +137,14 @@ def cell_sections(robot: Robot, parts: int, stiffness: Floats) -> tuple[Section,
 def scaled_values(effect: Effect, values: EffectValues, robot: Robot, parts: int) -> EffectValues:
     """Scale what counts per cell; repeat what counts per section for every cell of it."""
     cells = [s.cells * parts for s in robot.sections]
-    powers = {parameter.name: parameter.parts_power for parameter in effect.parameters}
-    wide = {parameter.name for parameter in effect.parameters if parameter.per_section}
+    parameters = {parameter.name: parameter for parameter in effect.parameters}
     scaled: EffectValues = {}
     for key, value in values.items():
-        factor = float(parts) ** powers[key]
+        factor = float(parts) ** parameters[key].parts_power
         if not isinstance(value, tuple):
             scaled[key] = value * factor
         else:
-            each = np.repeat(value, cells) if key in wide else np.array(value)
+            each = np.repeat(value, cells) if parameters[key].per_section else np.array(value)
             scaled[key] = tuple((factor * each).tolist())
     return scaled
 

@@ -23,7 +23,7 @@ import numpy as np
 from ..cli.options import declare, emit, progress
 from ..common.colours import line_style
 from ..common.errors import InputError, Progress
-from ..common.files import new_folder
+from ..common.files import new_folder, write_text
 from ..common.words import capital, columns, digits, listed, mm
 from ..comparison.result import Comparison
 from ..data import DataSet
@@ -63,14 +63,13 @@ def run(args: argparse.Namespace) -> None:
     folder = Path(args.output)
     if folder.exists() and any(folder.iterdir()) and not args.overwrite:
         raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
-    own = [Path(args.robots, f'{name}.yaml') for name in PAPER_ROBOTS] if args.robots else None
+    places = [Path(args.robots, f'{one}.yaml') if args.robots else one for one in PAPER_ROBOTS]
     with progress() as show:
-        paper = Paper([*map(load_robot, own or PAPER_ROBOTS)], show)
+        paper = Paper([load_robot(place) for place in places], show)
     page = paper_page(paper)
     with new_folder(folder, PAPER_FILES) as draft:
         page.write(draft / PAPER_FILES[0])
-        text = json.dumps(paper.to_json(), indent=1)
-        (draft / PAPER_FILES[1]).write_text(text, encoding='utf-8')
+        write_text(draft / PAPER_FILES[1], json.dumps(paper.to_json(), indent=1))
     cells = [ROW_COLUMNS, *map(number_cells, paper.rows)]
     table = columns([row[:-1] for row in cells])  # without the reasons, which are long
     written = ', '.join(str(folder / name) for name in PAPER_FILES)
@@ -155,8 +154,7 @@ def friction_numbers() -> Iterator[Number]:
 
 def motion_numbers(experiment: MotionExperiment) -> Iterator[Number]:
     """Return the ranges and the cost of stiff tendons of section IV.B."""
-    reached = {name: ours for name, ours in experiment.arrangements.items() if ours[0] > 0.0}
-    name, ours = next(iter(reached.items()))
+    name, ours = next(one for one in experiment.arrangements.items() if one[1][0] > 0.0)
     why = f'opposite-side pair, {name}; the range is over ±1° to ±5° for "180°"'
     yield Number.of('IV.B', 'tip positions at the 180° view, across', 'mm', 50.0, ours, why)
     bends = [one.bending[0] for one in (experiment.stiffening, experiment.every_tendon)]
@@ -270,16 +268,14 @@ ROW_COLUMNS = (
 def paper_page(paper: Paper) -> Page:
     """Return the page."""
     page = Page('Kato et al. 2015, section IV, reproduced', PAPER_SOURCE)
-    table = paper.rows
-    contradicted = [row for row in table if row.met == 'not met']
-    agreeing = sum(row.met == 'within 15 %' for row in table)
+    met = Counter(row.met for row in paper.rows)
     verdict = (
-        f'{agreeing} of {len(table)} published numbers are met within 15 %; '
-        f'{len(table) - agreeing - len(contradicted)} more lie in the range that the paper '
-        f'leaves open; {len(contradicted)} are not met.'
+        f'{met["within 15 %"]} of {len(paper.rows)} published numbers are met within 15 %; '
+        f'{met["in range"]} more lie in the range that the paper leaves open; '
+        f'{met["not met"]} are not met.'
     )
-    page.box([verdict], 'verdict' if contradicted else 'verdict good')
-    page.table([ROW_COLUMNS, *map(number_cells, table)], left=(1, 6, 7))
+    page.box([verdict], 'verdict' if met['not met'] else 'verdict good')
+    page.table([ROW_COLUMNS, *map(number_cells, paper.rows)], left=(1, 6, 7))
     page.heading('What is assumed')
     page.text('Tables I to IV of the paper are lost in the text that was used. Assumed instead:')
     page.table([line.split(' | ') for line in ASSUMED], left=(1, 2))
