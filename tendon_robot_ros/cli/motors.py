@@ -23,8 +23,9 @@ from ..common.errors import InputError, MissingExtraError, choice, short
 from ..common.files import new_file, write_text
 from ..common.words import STANDARD_GRAVITY
 from ..common.yaml_reading import dump_yaml, read_yaml
-from ..drivers.dynamixel.config import smallest_spool
+from ..drivers.dynamixel import config as dynamixel
 from ..drivers.dynamixel.control_table import BAUD_RATES, MODELS
+from ..drivers.serial_board import config as board
 from ..emulator.board import BoardRig, EmulatedBoard
 from ..emulator.bus import EmulatedBus
 from ..emulator.port import Plug
@@ -35,9 +36,7 @@ from .options import add_file, declare, emit
 
 if TYPE_CHECKING:
     from ..drivers.dynamixel.bus import Bus
-    from ..drivers.dynamixel.config import Calibration, CurrentPoint
     from ..drivers.dynamixel.motor import Motor
-    from ..drivers.serial_board.config import CountsPoint
 
 KINDS = {'dynamixel': 'motors', 'serial': 'tendons'}  # and what such a configuration has
 # [1] of the highest tension, of a check: taut, and so low that nothing would break
@@ -206,7 +205,6 @@ def _content(path: str) -> dict[str, Any]:
 
 def calibrate_motor(args: argparse.Namespace) -> None:
     """Measure currents under weights, fit two lines, write and draw them."""
-    from ..drivers.dynamixel.config import fit_current, to_mapping
     from ..drivers.dynamixel.motions import wind_weight
 
     if not (1.0 <= args.travel <= 1000.0 and 0.1 <= args.speed <= 200.0):
@@ -225,9 +223,9 @@ def calibrate_motor(args: argparse.Namespace) -> None:
             currents = f'winding {point.wind:.4f} A, paying out {point.pay_out:.4f} A'
             print(f'  {point.tension:.3f} N: {currents}', file=sys.stderr)
             points.append(point)
-    fitted = fit_current(points)
+    fitted = dynamixel.fit_current(points)
     half_gap = fitted.uncertainty(max(point.tension for point in points))
-    lines = to_mapping(fitted, points, wire.model.name, wire.spool.radius)
+    lines = dynamixel.to_mapping(fitted, points, wire.model.name, wire.spool.radius)
     _write(Path(args.output), args.tendon, lines, MOTOR_UNITS)
     picture = Path(args.picture or f'{Path(args.output).with_suffix("")}_{args.tendon}.png')
     draw(fitted, points, args.tendon, picture)
@@ -259,12 +257,11 @@ def wait_for(
 def open_motor(args: argparse.Namespace) -> tuple[Bus, Motor, Any]:
     """Open the bus and find the motor; its current may lift twice the heaviest weight."""
     from ..drivers.dynamixel.bus import Bus
-    from ..drivers.dynamixel.config import read_config
     from ..drivers.dynamixel.motor import Motor
     from ..drivers.dynamixel.servos import shake_hands
 
     content = {**_content(args.config), 'allow_coarse': True}
-    config = read_config(load_robot(args.robot), content, 'tension', args.config)
+    config = dynamixel.read_config(load_robot(args.robot), content, 'tension', args.config)
     heaviest = 2.0 * STANDARD_GRAVITY * max(args.weights)
     wire = replace(chosen(args, config.motors), tension_limit=heaviest)
     motor = Motor(wire.motor, (wire,), 'pull')
@@ -279,7 +276,9 @@ def _write(path: Path, tendon: str, lines: dict[str, Any], units: str) -> None:
     write_text(path, f'# {units}; written by calibrate\n{dump_yaml(content)}')
 
 
-def draw(fitted: Calibration, points: list[CurrentPoint], tendon: str, path: Path) -> None:
+def draw(
+    fitted: dynamixel.Calibration, points: list[dynamixel.CurrentPoint], tendon: str, path: Path
+) -> None:
     """Draw currents and lines over tension."""
     from matplotlib.figure import Figure
 
@@ -309,15 +308,14 @@ def draw(fitted: Calibration, points: list[CurrentPoint], tendon: str, path: Pat
 
 def calibrate_cell(args: argparse.Namespace) -> None:
     """Measure counts under weights, fit a line and write it."""
-    from ..drivers.serial_board.config import cell_mapping, fit_counts, read_config
     from ..drivers.serial_board.link import BoardLink
 
     robot, content = load_robot(args.robot), _content(args.config)
-    config = read_config(robot, content, 'tension', args.config, calibrated=False)
+    config = board.read_config(robot, content, 'tension', args.config, calibrated=False)
     tendon = chosen(args, config.tendons)
     link = BoardLink(config.port, config.baudrate)
     link.open(lambda: link.identify(config))
-    points: list[CountsPoint] = []
+    points: list[board.CountsPoint] = []
     with closing(link):
         for mass in (0.0, *args.weights):
             hang = f'hang {mass:g} kg on' if mass else 'nothing may pull at'
@@ -328,13 +326,13 @@ def calibrate_cell(args: argparse.Namespace) -> None:
             counts = f'{point.mean:.0f} ± {point.spread:.0f} counts'
             print(f'  {force:.3f} N: {counts}', file=sys.stderr)
             points.append(point)
-    cell = fit_counts(points)
+    cell = board.fit_counts(points)
     heaviest = max(point.tension for point in points)
     text = (
         f'{tendon}: tension = (counts - {cell.zero:.0f}) * {cell.newtons_per_count:.5g} N\n'
         f'uncertainty: {cell.uncertainty(heaviest):.2g} N (1 sd) at {heaviest:.3g} N'
     )
-    line = cell_mapping(cell, points)
+    line = board.cell_mapping(cell, points)
     _write(Path(args.output), args.tendon, line, CELL_UNITS)
     emit(args, {'line': line, 'written': args.output}, f'{text}\nwritten: {args.output}')
 
@@ -416,7 +414,7 @@ def emulated_servos(args: argparse.Namespace, robot: Robot) -> Emulated:
     """Return servos on a bus, one for every input."""
     many = range(1, len(robot.inputs) + 1)
     typed = None if args.spool is None else args.spool / 1e3
-    radius = typed or smallest_spool(MODELS[args.servo], robot.tension_limits[1])
+    radius = typed or dynamixel.smallest_spool(MODELS[args.servo], robot.tension_limits[1])
     servos = [Servo(MODELS[args.servo], i, args.baudrate) for i in many]
     line = EmulatedBus(Rig(servos, [Wire(i, radius) for i in many], _arm(args, robot)), args.port)
     config: dict[str, Any] = {

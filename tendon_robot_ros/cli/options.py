@@ -358,23 +358,20 @@ def progress(remaining: bool = False) -> Iterator[Progress]:
 
     with tqdm(disable=None, leave=False, bar_format=form) as bar:
 
-        def line() -> str:
-            what, done, total = now
-            elapsed = time.monotonic() - start
-            remaining_s = elapsed / max(done, 1) * (total - done)
-            end = f', {remaining_s / 60.0:.1f} min left' if remaining and done else ''
-            count = f' {done:,}/{total:,}' if total else ''
-            return f'{what}{count}, {elapsed:.0f} s so far{end}'
-
-        def show_regularly() -> None:  # later in larger steps, so that a log stays short
+        def show_regularly() -> None:
             pause = UPKEEP_S if bar.disable else 0.2 * UPKEEP_S  # its seconds pass
             while not ended.wait(pause):
-                if bar.disable:
-                    print(line(), file=sys.stderr, flush=True)
-                    pause = max(UPKEEP_S, 0.1 * (time.monotonic() - start))
-                else:
-                    what, bar.n, bar.total = now
+                what, done, total = now
+                if not bar.disable:
+                    bar.n, bar.total = done, total
                     bar.set_description_str(what)
+                    continue
+                elapsed = time.monotonic() - start
+                left = elapsed / max(done, 1) * (total - done) / 60.0
+                end = f', {left:.1f} min left' if remaining and done else ''
+                count = f' {done:,}/{total:,}' if total else ''
+                print(f'{what}{count}, {elapsed:.0f} s so far{end}', file=sys.stderr, flush=True)
+                pause = max(UPKEEP_S, 0.1 * elapsed)  # larger steps, so that a log stays short
 
         teller = threading.Thread(target=show_regularly, name='progress', daemon=True)
         teller.start()
