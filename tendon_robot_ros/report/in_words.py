@@ -74,8 +74,7 @@ def _(result: Diagnosis) -> Rows:
 
 @rows.register
 def _(result: DataSet) -> Rows:
-    unit = 'N' if result.input == 'tension' else 'mm'
-    scale = 1.0 if unit == 'N' else 1e3
+    unit, scale = ('N', 1.0) if result.input == 'tension' else ('mm', 1e3)
     inputs = [f'{name} [{unit}]' for name in result.input_names]
     table = [['posture', *inputs, 'trials', 'markers seen', 'last marker at [mm]']]
     for p, posture in enumerate(result.postures[: Shown.ROWS]):
@@ -108,10 +107,9 @@ def route(offsets: Sequence[XY]) -> str:
 
 @rows.register
 def _(result: Shape) -> Rows:
-    table = [['input', 'tension [N]', 'wire pull [mm]']]
-    for i, (tension, pull) in enumerate(zip(result.inputs, result.pulls, strict=True)):
-        table.append([str(i + 1), f'{tension:.4g}', f'{1e3 * pull:.4g}'])
-    return table
+    pulled = enumerate(zip(result.inputs, result.pulls, strict=True))
+    body = [[str(i + 1), f'{tension:.4g}', f'{1e3 * pull:.4g}'] for i, (tension, pull) in pulled]
+    return [['input', 'tension [N]', 'wire pull [mm]'], *body]
 
 
 rows.register(Reach, lambda result: rows(result.shape))
