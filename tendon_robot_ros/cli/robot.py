@@ -21,14 +21,7 @@ from ..common.files import new_file, write_text
 from ..common.words import COMPILING, PROGRAM, STANDARD_GRAVITY, columns, counted, mm
 from ..report.comparison import kind
 from ..report.in_words import route, rows
-from ..robot import Robot, dump_robot, load_robot, parse_robot
-from ..robot.estimates import (
-    SAG_FRACTION_MAX,
-    handling,
-    rod_stiffness,
-    stiffness_from_bend,
-    stiffness_from_sag,
-)
+from ..robot import Robot, dump_robot, estimates, load_robot, parse_robot
 from .options import add_file, declare, emit, refuse_existing
 
 FIRST_WORDS = 'An empty answer takes the value in brackets; < goes back to the question before.'
@@ -242,26 +235,26 @@ def ask_stiffness(
             inner = outer - 2e-3 * wall
         known = 'nitinol 60, steel 200, glass fibre 40, PEEK 3.6, nylon 2'
         modulus = 1e9 * questions.number(f'Modulus E [GPa] ({known})', 60.0, 1e-6, 1e4)
-        value = rod_stiffness(modulus, outer, inner, length)
+        value = estimates.rod_stiffness(modulus, outer, inner, length)
         return lambda *_: value, 10.0
     if source == 'sag':
         grams = questions.number('Hold the arm level, weight at its tip [g]', 10.0, 1e-3, 1e6)
-        sag_max = 1e3 * SAG_FRACTION_MAX * sections * cells * length
-        why = f'{100 * SAG_FRACTION_MAX:g} % of the arm; if it sags more, take a lighter weight'
+        most = estimates.SAG_FRACTION_MAX
+        sag_max = 1e3 * most * sections * cells * length
+        why = f'{100 * most:g} % of the arm; if it sags more, take a lighter weight'
         sags = questions.number(
             'Its tip then sags by [mm]', min(5.0, 0.5 * sag_max), 1e-3, sag_max, why=why
         )
         force = 1e-3 * STANDARD_GRAVITY * grams
-        value = stiffness_from_sag(force, 1e-3 * sags, sections * cells, length)
+        value = estimates.stiffness_from_sag(force, 1e-3 * sags, sections * cells, length)
         return lambda *_: value, 10.0
     tension, angle, percent = None, math.pi, 50.0  # not known: the highest bends by 180°
     if source == 'bend':
         tension = questions.number('One tendon alone, tension [N]', 1.0, 1e-6, 1e5)
         angle = math.radians(questions.number('Its section then bends by [°]', 45.0, 1e-3, 1e4))
         percent = 20.0
-    return (
-        lambda radius, highest: stiffness_from_bend(tension or highest, angle, cells, radius)
-    ), percent
+    of_bend = estimates.stiffness_from_bend
+    return (lambda radius, highest: of_bend(tension or highest, angle, cells, radius)), percent
 
 
 def tendons_of(
@@ -439,7 +432,8 @@ def description(robot: Robot) -> str:
     ]
     if robot.gravity is not None:
         lines.append(f'gravity: {", ".join(f"{g:g}" for g in robot.gravity)} m/s²')
-    lines += ['', section_table(robot), '', columns(rows(robot)), '', *handling(robot), '']
+    lines += ['', section_table(robot), '', columns(rows(robot)), '']
+    lines += [*estimates.handling(robot), '']
     lines.append('effects:' if robot.effects else 'effects: none')
     for name, values in robot.effects.items():
         texts = ', '.join(

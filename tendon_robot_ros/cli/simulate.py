@@ -33,16 +33,8 @@ from ..simulation.hidden import Workmanship
 from ..simulation.measurements import Laboratory, SimulatedNoise, raw_table, simulate, write_table
 from ..simulation.plant import Plant, make_plant
 from ..workspace.postures import SEQUENCE_FACTOR, default_postures
-from .options import (
-    add_file,
-    declare,
-    emit,
-    named_numbers,
-    numbers,
-    progress,
-    refuse_existing,
-    vector,
-)
+from . import options
+from .options import emit, progress
 
 HELP = 'write measurements of a robot with hidden effects, to rehearse with'
 
@@ -63,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--output', metavar='DIR', help='folder of the data set')
     add('--check', metavar='DIR', help='a second data set: other postures of the same robot')
     what = 'instead: a table over time as laboratories have them'
-    add_file(parser, '--table', what, 'CSV')
+    options.add_file(parser, '--table', what, 'CSV')
     add('--overwrite', action='store_true', help='replace data sets')
     usual = SimulatedNoise()
     what = 'a file like inputs.csv, or so many (default: 12, 20 in a sequence; a check has half)'
@@ -82,13 +74,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('--path', choices=PATHS, default='from_straight', help=reached)
     markers = 'so many, evenly spaced, or at these arc lengths [mm] (default: one per cell)'
     add('--markers', metavar='N|S,S,...', help=markers)
-    declare(parser, '--json', '--effect-file')
+    options.declare(parser, '--json', '--effect-file')
 
 
 def run(args: argparse.Namespace) -> None:
     """Write the data sets."""
     robot = load_robot(args.robot)
-    if gravity := vector('--gravity', args.gravity or None):
+    if gravity := options.vector('--gravity', args.gravity or None):
         robot = replace(robot, gravity=(gravity[0], gravity[1], gravity[2]))
     hidden = hidden_effects(args.hidden)
     if 'gravity' in hidden and robot.gravity is None:
@@ -100,7 +92,7 @@ def run(args: argparse.Namespace) -> None:
     paths = [*filter(None, (args.output or args.table, args.check))]
     for option, path in zip(('--table', '--check'), paths, strict=False):
         if args.table:
-            refuse_existing(option, path, args.overwrite)
+            options.refuse_existing(option, path, args.overwrite)
         else:
             refuse_dataset_in(path, args.overwrite)
     catalogue = load_catalogue(args.effect_file)
@@ -203,7 +195,7 @@ def hidden_effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]
         if not equals:
             comma = ' (a decimal comma? write a point)' if part[:1].isdigit() else ''
             raise InputError(f'hidden {name}: expected NAME=VALUE, got {part!r}{comma}')
-        read = numbers(f'{name}: {key}', value, '/')
+        read = options.numbers(f'{name}: {key}', value, '/')
         values[key] = read if len(read) > 1 else read[0]
     return name, values
 
@@ -211,7 +203,7 @@ def hidden_effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]
 def simulated_noise(text: str) -> SimulatedNoise:
     """Read position=MM,setting=SD,trial=SD."""
     known = [field.name for field in fields(SimulatedNoise)]
-    values = named_numbers('--noise', text, 'mm, or relative') if text else {}
+    values = options.named_numbers('--noise', text, 'mm, or relative') if text else {}
     for key in values:
         if key not in known:
             raise InputError(f'--noise: expected {", ".join(known)}, got {key!r}')
@@ -227,5 +219,5 @@ def _markers(text: str | None, robot: Robot) -> tuple[Marker, ...] | None:
         return None
     if text.isdigit() and int(text) > 0:
         return even_markers(robot, int(text))
-    places = numbers('--markers', text, ',')
+    places = options.numbers('--markers', text, ',')
     return tuple(Marker(str(i + 1), 1e-3 * place) for i, place in enumerate(places))

@@ -18,15 +18,7 @@ from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding, NextMeasu
 from ..diagnosis.verdict import P_SINGLE_MIN, SAME_ERROR_RATIO, SEPARABLE_FROM_SD, Verdict
 from ..inference.crossval import explained_fraction
 from ..robot.estimates import stiffnesses
-from .sentences import (
-    amount,
-    as_built,
-    described_quantity,
-    excluded_lines,
-    finding_words,
-    quantities,
-    where_wrong,
-)
+from . import sentences
 
 # tolerances that are no fractions, and their units
 TOLERANCE_UNITS = {'position': 'm', 'pull_zero': 'm', 'rotation': 'rad', 'cell_kink': 'rad'}
@@ -46,13 +38,14 @@ def lines(diagnosis: Diagnosis) -> list[str]:
     """Return all lines: verdict, remaining error, alternatives, what to do, what it rests on."""
     text, trust = verdict(diagnosis).split('\n'), trust_lines(diagnosis)
     if not diagnosis.verdict.judged:
-        return [*text, *excluded_lines(diagnosis.details), *trust]
+        return [*text, *sentences.excluded_lines(diagnosis.details), *trust]
     text += [*errors(diagnosis), diagnosis.remainder]
     text += [f'mind: {caveat}' for caveat in diagnosis.details.get('caveats', ())]
-    text += where_wrong(diagnosis.details.get('local_faults', ()))
+    text += sentences.where_wrong(diagnosis.details.get('local_faults', ()))
     text += filter(None, [alike(diagnosis), next_measurement(diagnosis)])
-    text += ['', size(diagnosis), *declared(diagnosis), *excluded_lines(diagnosis.details)]
-    text += as_built(diagnosis.details.get('as_built'))
+    text += ['', size(diagnosis), *declared(diagnosis)]
+    text += sentences.excluded_lines(diagnosis.details)
+    text += sentences.as_built(diagnosis.details.get('as_built'))
     return [*text, *filter(None, [untested(diagnosis), detectable(diagnosis)]), *trust]
 
 
@@ -103,7 +96,7 @@ def declared(diagnosis: Diagnosis) -> list[str]:
 
 def tolerance(name: str, size: float) -> str:
     """Say a declared tolerance in the unit that suits it."""
-    return f'{name} {amount(size, TOLERANCE_UNITS.get(name, "1"))}'
+    return f'{name} {sentences.amount(size, TOLERANCE_UNITS.get(name, "1"))}'
 
 
 def verdict(diagnosis: Diagnosis) -> str:
@@ -130,7 +123,7 @@ def in_words(diagnosis: Diagnosis, found: EffectFinding | CandidateRow) -> str:
     words = diagnosis.details.get('effects_in_words', {}).get(found.name, {})
     title, finding = words.get('title', found.name.replace('_', ' ')), words.get('finding', '')
     pushes = diagnosis.details.get('pushes', {}).get(found.name, ())
-    said = finding_words(title, finding, found.parameters, found.load, pushes)
+    said = sentences.finding_words(title, finding, found.parameters, found.load, pushes)
     return f'{said} (`{found.name}`)'
 
 
@@ -138,7 +131,7 @@ def as_written(diagnosis: Diagnosis) -> str:
     """Return the parameters under their names in a description, where the verdict has others."""
     words = diagnosis.details.get('effects_in_words', {})
     lines = [
-        f'\nIn the description: {e.name}: {quantities(e.parameters)}.'
+        f'\nIn the description: {e.name}: {sentences.quantities(e.parameters)}.'
         for e in diagnosis.effects
         if words.get(e.name, {}).get('finding')
     ]
@@ -207,7 +200,7 @@ def instead(diagnosis: Diagnosis) -> str:
     before = diagnosis.details.get('described', {}).get(best.name, {})
     units = {key.partition('[')[0]: value.unit for key, value in best.parameters.items()}
     was = '; '.join(
-        described_quantity(key, units.get(key, '1'), np.atleast_1d(value).tolist())
+        sentences.described_quantity(key, units.get(key, '1'), np.atleast_1d(value).tolist())
         for key, value in before.items()
     )
     return f'; the description says {was or "nothing"}'
@@ -305,7 +298,7 @@ def detectable(diagnosis: Diagnosis) -> str:
     if not sizes:
         return ''
     parts = [
-        f'{name} {described_quantity(one["parameter"], one["unit"], [one["size"]], 2)}'
+        f'{name} {sentences.described_quantity(one["parameter"], one["unit"], [one["size"]], 2)}'
         for name, one in sizes.items()
     ]
     return 'smallest size that would have been seen (four times in five): ' + ', '.join(parts)
@@ -370,34 +363,35 @@ def trust_lines(diagnosis: Diagnosis) -> list[str]:
         ]
     low, high = 100.0 * trust['alarm_rate_low'], 100.0 * trust['alarm_rate_high']
     rate = digits(100.0 * trust['alarm_rate'])
-    sentences = [
+    texts = [
         f'With nothing missing, this procedure raises an alarm in {rate} % of cases '
         f'({trust["runs"]} simulated on your postures; 95 %: {digits(low)} to {digits(high)} %).'
     ]
     sizes = []
     for name, own in trust['detectable'].items():
-        shown = []
-        for key, one in own.items():
-            known = one['size'] is not None
-            size = described_quantity(key, one['unit'], [one['size']], 2) if known else ''
-            shown.append(size or f'{key} too small to see')
+        shown = [
+            f'{key} too small to see'
+            if one['size'] is None
+            else sentences.described_quantity(key, one['unit'], [one['size']], 2)
+            for key, one in own.items()
+        ]
         sizes.append(f'{name} {", ".join(shown)}')
-    sentences.append('Smallest sizes that raise it four times in five: ' + '; '.join(sizes) + '.')
+    texts.append('Smallest sizes that raise it four times in five: ' + '; '.join(sizes) + '.')
     if trust['checked']:
         robots = f'Of {trust["checked"]} simulated robots with an effect of such a size'
         rate = f'{100.0 * trust["detected"] / trust["checked"]:.0f}'
-        sentences.append(f'{robots}, {rate} % raised it.')
+        texts.append(f'{robots}, {rate} % raised it.')
     if diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE:
-        sentences.append(
+        texts.append(
             'All of this is about effects of the catalogue; of a cause outside it it says nothing.'
         )
-    return sentences
+    return texts
 
 
 def addition_lines(addition: Addition) -> list[str]:
     """Return values, errors, tolerances and warnings."""
     lines = [
-        f'{name}: {quantities(values, addition.loads.get(name))}'
+        f'{name}: {sentences.quantities(values, addition.loads.get(name))}'
         for name, values in addition.values.items()
     ]
     lines.append(error_table(addition))
@@ -467,25 +461,25 @@ def model_error_note(error: float) -> str:
 
 def addition_warnings(addition: Addition) -> list[str]:
     """Say what else is written and at work, which tolerances moved, when a check got worse."""
-    sentences = []
+    texts = []
     if addition.beside:
         also = also_written(addition)
-        sentences.append(
+        texts.append(
             'after: with the effects and the arm as it was found beside them; '
             f'the file holds that, too: {listed(also)}'
         )
     if addition.moved:
         moves = ', '.join(f'{name} by {digits(z)} sd' for name, z in addition.moved.items())
         where = 'in the file, too' if addition.beside else 'not in the file'
-        sentences.append(f'declared tolerances moved in the fit: {moves} ({where})')
+        texts.append(f'declared tolerances moved in the fit: {moves} ({where})')
     if addition.accuracy:
-        sentences.append(f'weighed by the declared accuracy of {mm(addition.accuracy, 2)}')
+        texts.append(f'weighed by the declared accuracy of {mm(addition.accuracy, 2)}')
     if addition.more_at_work:
-        sentences.append(f'note: {addition.more_at_work}')
+        texts.append(f'note: {addition.more_at_work}')
     if addition.model_error:
-        sentences.append(model_error_note(addition.model_error))
+        texts.append(model_error_note(addition.model_error))
     if addition.check.after > addition.check.before:
-        sentences.append(
+        texts.append(
             'note: the error on postures that were not fitted grew; do not use these values'
         )
-    return sentences
+    return texts
