@@ -21,15 +21,7 @@ from ..common.arrays import Floats
 from ..common.errors import InputError
 from ..common.files import read_text
 from ..common.results import TextResult, make_frame, plain
-from ..inference.statistics import (
-    Estimate,
-    PairedT,
-    estimate,
-    half_width,
-    mean_over,
-    paired_t,
-    root_mean,
-)
+from ..inference import statistics
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,18 +56,18 @@ class Measured:
     @cached_property
     def noise_floor(self) -> float | None:
         """Expected rms [m] for a perfect model over postures and markers."""
-        return None if self.floor is None else root_mean(self.floor)
+        return None if self.floor is None else statistics.root_mean(self.floor)
 
     @cached_property
     def motion(self) -> float:
         """How far markers move from posture to posture [m]: rms distance from their middle."""
-        middle = mean_over(self.mean, 0)
-        return root_mean(((self.mean - middle) ** 2).sum(axis=-1))
+        middle = statistics.mean_over(self.mean, 0)
+        return statistics.root_mean(((self.mean - middle) ** 2).sum(axis=-1))
 
     @cached_property
     def floor_per_marker(self) -> Floats | None:
         """Expected rms (J,) [m] for a perfect model over postures."""
-        return None if self.floor is None else np.sqrt(mean_over(self.floor, 0))
+        return None if self.floor is None else np.sqrt(statistics.mean_over(self.floor, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +91,7 @@ class ModelErrors:
     @cached_property
     def rms(self) -> float:
         """Over postures and markers [m]."""
-        return root_mean(self.distance**2)
+        return statistics.root_mean(self.distance**2)
 
     @cached_property
     def max(self) -> float:
@@ -109,25 +101,25 @@ class ModelErrors:
     @cached_property
     def per_marker_rms(self) -> Floats:
         """Over postures (J,) [m]."""
-        return np.sqrt(mean_over(self.distance**2, 0))
+        return np.sqrt(statistics.mean_over(self.distance**2, 0))
 
     @cached_property
     def per_posture_rms(self) -> Floats:
         """Over markers (P,) [m]."""
-        return np.sqrt(mean_over(self.distance**2, 1))
+        return np.sqrt(statistics.mean_over(self.distance**2, 1))
 
-    def tip_error(self, error: str = 'ci') -> Estimate:
+    def tip_error(self, error: str = 'ci') -> statistics.Estimate:
         """
         Mean tip error over the postures.
 
         The tip error of a trial is the distance between the predicted and the measured tip, that
         of a posture the mean over its trials (Kato et al. 2015, section IV.C).
         """
-        return estimate(mean_over(self.tip_errors, 1), error)
+        return statistics.estimate(statistics.mean_over(self.tip_errors, 1), error)
 
-    def tip_error_of(self, posture: int, error: str = 'ci') -> Estimate:
+    def tip_error_of(self, posture: int, error: str = 'ci') -> statistics.Estimate:
         """Mean tip error over the trials of a posture."""
-        return estimate(self.tip_errors[posture], error)
+        return statistics.estimate(self.tip_errors[posture], error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,15 +237,15 @@ class Comparison(TextResult):
         return min(self.models, key=lambda model: model.rms)
 
     @cached_property
-    def paired_t(self) -> tuple[PairedT, ...]:
+    def paired_t(self) -> tuple[statistics.PairedT, ...]:
         """Paired t-tests of the tip errors: over the postures, and over the trials of each."""
         tests = []
         for a, b in combinations(self.models, 2):
             names = (a.name, b.name)
-            means = mean_over(a.tip_errors, 1), mean_over(b.tip_errors, 1)
-            tests.append(paired_t(names, *means, None))
+            means = statistics.mean_over(a.tip_errors, 1), statistics.mean_over(b.tip_errors, 1)
+            tests.append(statistics.paired_t(names, *means, None))
             for p, posture in enumerate(self.measured.postures):
-                tests.append(paired_t(names, a.tip_errors[p], b.tip_errors[p], posture))
+                tests.append(statistics.paired_t(names, a.tip_errors[p], b.tip_errors[p], posture))
         return tuple(test for test in tests if test is not None)
 
     def worst_posture(self, model: ModelErrors) -> int:
@@ -278,7 +270,7 @@ class Comparison(TextResult):
         """Measured angular displacement (P, J) [rad]: mean, and half the width of its interval."""
         angles = self.measured.angles
         assert angles is not None  # the markers lie on the centreline
-        return mean_over(angles, 0), half_width(angles, self.error)
+        return statistics.mean_over(angles, 0), statistics.half_width(angles, self.error)
 
 
 def _mm(metres: float) -> str:
@@ -401,7 +393,7 @@ def from_json(content: dict[str, Any]) -> Comparison:
     return Comparison(measured, tuple(models), content['error'])
 
 
-def _estimate(value: Estimate) -> Any:
+def _estimate(value: statistics.Estimate) -> Any:
     return plain({key: getattr(value, key) for key in ('mean', 'low', 'high', 'n')})
 
 
