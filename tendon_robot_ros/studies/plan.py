@@ -95,12 +95,11 @@ class CampaignPlan:
         for arm in setup.arms:
             digests[f'robot {arm.robot.name}'] = _digest(dump_robot(arm.robot), arm.down)
         for i, one in enumerate(setup.designs):
-            counts, data = (one.postures, one.trials, one.markers, one.input), one.data
-            measured: list[object] = []
-            if data is not None:
-                arrays = data.inputs.tobytes(), data.trials.tobytes()
-                measured = [*arrays, data.markers, data.input, data.path]
-            digests[f'design {i + 1}'] = _digest(one.name, *counts, *measured)
+            parts: list[object] = [one.name, one.postures, one.trials, one.markers, one.input]
+            if (data := one.data) is not None:
+                parts += [data.inputs.tobytes(), data.trials.tobytes()]
+                parts += [data.markers, data.input, data.path]
+            digests[f'design {i + 1}'] = _digest(*parts)
         for i, (name, noise) in enumerate(setup.noises):
             digests[f'noise {i + 1}'] = _digest(name, noise)
         return digests

@@ -6,7 +6,7 @@ import os
 import time
 import typing
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -151,14 +151,12 @@ class GrowingTable[R: Row]:
 
     def columns(self) -> Iterator[Any]:
         """Yield the fields of the schema."""
-        types = typing.get_type_hints(self.kind)
         a = self.arrow
         plain = {str: a.string(), float: a.float64(), int: a.int64(), bool: a.bool_()}
-        for one in fields(self.kind):
-            hint = types[one.name]
+        for name, hint in typing.get_type_hints(self.kind).items():
             kind = plain[next(iter(typing.get_args(hint)), hint)]  # of `float | None`: float
             is_list = typing.get_origin(hint) is tuple
-            yield a.field(one.name, a.list_(kind) if is_list else kind)
+            yield a.field(name, a.list_(kind) if is_list else kind)
 
     def files(self) -> list[Path]:
         """List the files, oldest first."""
