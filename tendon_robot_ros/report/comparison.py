@@ -19,7 +19,6 @@ from ..inference.statistics import PairedT
 from ..model.shape import bending_azimuth, views_of
 from .error_plots import Step, angles, loops, per_marker, per_posture, staircase, tip_boxes
 from .page import (
-    HEIGHTS_PX,
     Figure,
     Page,
     Shown,
@@ -364,7 +363,7 @@ def fault_rings(line: Floats, places: Sequence[tuple[float, str]]) -> list[Trace
 def flat_figure(drawn: DrawnPosture) -> Figure:
     """Draw one posture in the x-z plane, as seen along y."""
     data = [*map(from_the_side, drawn.traces)]
-    return Figure(data, small_axes('x [mm]'), drawn.title, drawn.caption, HEIGHTS_PX['low'])
+    return Figure(data, small_axes('x [mm]'), drawn.title, drawn.caption, Shown.LOW)
 
 
 def small_axes(x: str | Trace, **more: Trace) -> Trace:
@@ -387,7 +386,7 @@ def side_figure(drawn: DrawnPosture) -> Figure:
     layout = small_axes(x, xaxis2=x2)
     plane = round(np.degrees(drawn.azimuth))
     caption = f'{drawn.caption}; bends in a plane {plane}° from x'
-    return Figure(data, layout, drawn.title, caption, HEIGHTS_PX['normal'])
+    return Figure(data, layout, drawn.title, caption)
 
 
 def scene_figure(comparison: Comparison, drawn: Sequence[DrawnPosture]) -> Figure:
@@ -421,7 +420,7 @@ def scene_figure(comparison: Comparison, drawn: Sequence[DrawnPosture]) -> Figur
         'updatemenus': [menu],
     }
     caption = 'Choose a posture, seen across the plane in which it bends; drag to turn.'
-    return Figure(data, layout, '', caption, HEIGHTS_PX['scene'])
+    return Figure(data, layout, '', caption, Shown.SCENE)
 
 
 def _camera(azimuth: float) -> dict[str, Any]:

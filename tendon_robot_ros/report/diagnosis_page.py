@@ -23,7 +23,7 @@ from . import diagnosis_text
 from .comparison import Push, add_loops, add_shapes
 from .diagnosis_text import next_measurement, trust_lines
 from .error_plots import Step, heat_maps, moments, per_marker, per_posture, staircase
-from .page import HEIGHTS_PX, Page
+from .page import Page, Shown
 from .sentences import quantities, where_wrong
 
 BEFORE = 'as described'
@@ -165,7 +165,7 @@ def add_staircase(page: Page, diagnosis: Diagnosis, addition: Addition | None) -
             for step in falling(one.before, one.alone, one.after, one.floor, GROUPS[one.kind])
         ]
         page.text(*map(capital, diagnosis_text.addition_warnings(addition)))
-    page.figures([staircase(steps, height=HEIGHTS_PX['low'])])
+    page.figures([staircase(steps, height=Shown.LOW)])
 
 
 def falling(

@@ -14,14 +14,12 @@ from ..common.words import capital, mm
 from ..comparison.result import Comparison
 from ..diagnosis.missing_moment import MissingMoment
 from .page import (
-    HEIGHTS_PX,
     LOG_AXIS,
     Figure,
     Shown,
     Trace,
     axes,
     curve,
-    degrees_list,
     error_bars,
     mm_list,
     plain,
@@ -98,9 +96,10 @@ def angles(comparison: Comparison, p: int) -> Figure:
     data: list[Trace] = []
     for i, model in enumerate(comparison.models):
         assert model.angles is not None
-        data.append(curve(along, degrees_list(model.angles[p]), model.name, line_style(i), 2.5))
-    marker, bars = {'color': MEASURED, 'size': 5}, error_bars(degrees_list(half[p]))
-    points = along, degrees_list(mean[p])
+        turned = plain(np.degrees(model.angles[p]))
+        data.append(curve(along, turned, model.name, line_style(i), 2.5))
+    marker, bars = {'color': MEASURED, 'size': 5}, error_bars(plain(np.degrees(half[p])))
+    points = along, plain(np.degrees(mean[p]))
     name = f'measured, mean ± {interval_name(comparison)}'
     data.append(trace(*points, name, 'markers', error_y=bars, marker=marker))
     layout = axes(title, 'angular displacement [°]')
@@ -182,9 +181,7 @@ def loops(comparison: Comparison) -> list[Figure]:
     return [figure for _, figure in figures[: Shown.FIGURES]]
 
 
-def staircase(
-    steps: Sequence[Step], title: str = '', height: int = HEIGHTS_PX['normal']
-) -> Figure:
+def staircase(steps: Sequence[Step], title: str = '', height: int = Shown.NORMAL) -> Figure:
     """Errors that fall step by step towards the noise floor; groups beside each other."""
     groups = list(dict.fromkeys(step.group for step in steps))
     data: list[Trace] = []
@@ -249,7 +246,7 @@ def heat_maps(comparison: Comparison, lacks: Sequence[MissingMoment]) -> list[Fi
         y = titled('posture', type='category', autorange='reversed')
         layout = axes(title, y, margin={'l': 56, 'r': 8, 't': 8, 'b': 44})
         # a line of text for every posture, within what a screen shows
-        height = int(np.clip(150 + 18 * len(rows), HEIGHTS_PX['low'], HEIGHTS_PX['scene']))
+        height = int(np.clip(150 + 18 * len(rows), Shown.LOW, Shown.SCENE))
         figures.append(Figure([heat], layout, f'Deviation, {model.name}', '', height))
     return figures
 

@@ -18,7 +18,7 @@ from ..effects import Catalogue
 from .comparison import add_shapes, interval
 from .diagnosis_text import model_error_note
 from .error_plots import per_marker, per_posture
-from .page import HEIGHTS_PX, LOG_AXIS, Figure, Page, Shown, axes, mm_list, titled, trace
+from .page import LOG_AXIS, Figure, Page, Shown, axes, mm_list, titled, trace
 from .sentences import as_built, excluded_lines, quantities, where_wrong
 
 NOT_WRITTEN = 'Nothing was written: there is no step that lowers the error on left-out postures.'
@@ -149,4 +149,4 @@ def curve(improvement: Improvement) -> Figure:
     x = {'type': 'category', 'tickangle': -90}
     layout = axes(x, titled('rms error, logarithmic [mm]', **LOG_AXIS))
     title = 'The error falls step by step; hollow: not taken'
-    return Figure(data, layout, title, height=HEIGHTS_PX['tall'])
+    return Figure(data, layout, title, height=Shown.TALL)

@@ -23,8 +23,6 @@ from ..common.files import write_text
 Trace = dict[str, Any]  # what plotly draws, or a part of its layout
 FOLDER = Path(__file__).parent
 KEYS = 'Tab comes here, arrow keys show the next.'
-# how high figures are [px], so that two rows fit on a screen and a shape keeps its proportions
-HEIGHTS_PX = {'low': 280, 'normal': 360, 'tall': 460, 'scene': 520}
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif'
 
 
@@ -41,11 +39,6 @@ LOG_AXIS = {'type': 'log', 'dtick': 'D2', 'tickformat': '~r'}
 def mm_list(metres: npt.ArrayLike) -> list[float | None]:
     """Return lengths in mm."""
     return plain(metres, 1e3)
-
-
-def degrees_list(radians: npt.ArrayLike) -> list[float | None]:
-    """Return angles in degrees."""
-    return plain(radians, 180.0 / np.pi)
 
 
 def coordinates(points: Floats) -> Trace:
@@ -121,6 +114,9 @@ class Shown:
     # [1] noise floors of an error above which the floor would lie on the zero line: 15 px
     LOG_AXIS_FROM_FLOORS = 25.0
 
+    # [px] heights, so that two rows fit on a screen and a shape keeps its proportions
+    LOW, NORMAL, TALL, SCENE = 280, 360, 460, 520
+
     FIGURES = 4  # of a kind: two rows, so that the next heading is seen
     POSTURES = 12  # as pictures, so that the page opens at once
     LOOP = (
@@ -149,7 +145,7 @@ class Figure:
     layout: dict[str, Any]
     title: str = ''
     caption: str = ''
-    height: int = HEIGHTS_PX['normal']
+    height: int = Shown.NORMAL
 
     def html(self) -> str:
         """Return the figure as a part of a page; page.js draws what it holds."""

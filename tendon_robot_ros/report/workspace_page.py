@@ -18,7 +18,6 @@ from ..workspace.cubes import SPHERE_PART_COUNT, Reached
 from ..workspace.view_angle import Family, Workspace
 from ..workspace.volume import Volume, bends_as_one
 from .page import (
-    HEIGHTS_PX,
     Figure,
     Page,
     Shown,
@@ -26,10 +25,10 @@ from .page import (
     axes,
     coordinates,
     curve,
-    degrees_list,
     from_the_side,
     mm_list,
     placed,
+    plain,
     titled,
 )
 
@@ -108,7 +107,7 @@ def postures(family: Family) -> Figure:
     layout = axes('x [mm]', titled('z [mm]', scaleanchor='x')) if planar else scene()
     drawn = [*map(from_the_side, data)] if planar else data
     shown = caption if planar else f'{caption} Drag to turn.'
-    return Figure(drawn, layout, title, shown, height=HEIGHTS_PX['tall'])
+    return Figure(drawn, layout, title, shown, height=Shown.TALL)
 
 
 def displacement(family: Family) -> Figure:
@@ -118,12 +117,12 @@ def displacement(family: Family) -> Figure:
     for i, (name, b) in enumerate(zip(HEIGHT_NAMES, family.salient, strict=True)):
         bend = family.bend[b]
         angle = bend[:, 0] if family.is_flat else np.linalg.norm(bend, axis=1)
-        data.append(curve(cells, degrees_list(angle), name, line_style(i), size=6))
+        data.append(curve(cells, plain(np.degrees(angle)), name, line_style(i), size=6))
         values = family.tensions[b, list(family.pair.indices)].tolist()
         pulled.append(f'{name}: {commands(dict(zip(family.pair.inputs, values, strict=True)))}')
     title, caption = 'Angular displacement per cell', '; '.join(pulled)
     layout = axes('cell', 'angular displacement per cell [°]')
-    return Figure(data, layout, title, caption, height=HEIGHTS_PX['tall'])
+    return Figure(data, layout, title, caption, height=Shown.TALL)
 
 
 def workspace_page(workspace: Workspace) -> Page:
@@ -340,9 +339,7 @@ def section_figure(volume: Volume, values: Floats, title: str, axis: int) -> Fig
         layout['margin'] = {'l': 56, 'r': 16, 't': 12, 'b': 90}
     caption = 'Grey: reached without friction only.' if other is not None else ''
     plane = 'x-z' if axis == 1 else 'x-y'
-    return Figure(
-        data, layout, f'Section along the {plane} plane', caption, height=HEIGHTS_PX['scene']
-    )
+    return Figure(data, layout, f'Section along the {plane} plane', caption, height=Shown.SCENE)
 
 
 def heat_map(frame: tuple[Ints, Ints, float], cells: Ints, values: Floats) -> Trace:
@@ -376,4 +373,4 @@ def direction_figure(part: Reached, view: float) -> Figure:
         in_space(lines, 'lines', 'where they look', line=line, hoverinfo='skip'),
     ]
     caption = f'{len(part):,} cubes whose tips look {degree(view)} away from the base.'
-    return Figure(data, scene(), '', caption, height=HEIGHTS_PX['tall'])
+    return Figure(data, scene(), '', caption, height=Shown.TALL)
