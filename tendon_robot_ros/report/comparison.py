@@ -18,18 +18,7 @@ from ..diagnosis.verdict import SAME_ERROR_RATIO
 from ..inference.statistics import PairedT
 from ..model.shape import bending_azimuth, views_of
 from .error_plots import Step, angles, loops, per_marker, per_posture, staircase, tip_boxes
-from .page import (
-    Figure,
-    Page,
-    Shown,
-    Trace,
-    axes,
-    from_the_side,
-    placed,
-    plain,
-    symbol,
-    titled,
-)
+from .page import Figure, Page, Shown, Trace, axes, from_the_side, placed, plain, symbol, titled
 from .sentences import Fault, excluded_lines, interval_name, marks, of_inputs, posture_name
 
 # [1] of the reach of the markers, at the largest force of all postures: less would be no direction

@@ -13,19 +13,7 @@ from ..common.colours import BAND, DIVERGING, FLOOR, MEASURED, line_style
 from ..common.words import capital, mm
 from ..comparison.result import Comparison
 from ..diagnosis.missing_moment import MissingMoment
-from .page import (
-    LOG_AXIS,
-    Figure,
-    Shown,
-    Trace,
-    axes,
-    curve,
-    error_bars,
-    mm_list,
-    plain,
-    titled,
-    trace,
-)
+from .page import Figure, Shown, Trace, axes, curve, error_bars, mm_list, plain, titled, trace
 from .sentences import interval_name, posture_name
 
 FILLED = {'fill': 'tozeroy', 'fillcolor': BAND}
@@ -214,7 +202,7 @@ def _error_axis(comparison: Comparison, title: str) -> dict[str, Any]:
     floor = comparison.noise_floor
     largest = max(float(model.per_marker_rms[-1]) for model in comparison.models)
     wide = floor and largest > Shown.LOG_AXIS_FROM_FLOORS * floor
-    return titled(title, **(LOG_AXIS if wide else {'rangemode': 'tozero'}))
+    return titled(title, **(Shown.LOG_AXIS if wide else {'rangemode': 'tozero'}))
 
 
 def along_the_arm(comparison: Comparison) -> tuple[list[float | None], str]:

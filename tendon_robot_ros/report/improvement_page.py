@@ -18,7 +18,7 @@ from ..effects import Catalogue
 from .comparison import add_shapes, interval
 from .diagnosis_text import model_error_note
 from .error_plots import per_marker, per_posture
-from .page import LOG_AXIS, Figure, Page, Shown, axes, mm_list, titled, trace
+from .page import Figure, Page, Shown, axes, mm_list, titled, trace
 from .sentences import as_built, excluded_lines, quantities, where_wrong
 
 NOT_WRITTEN = 'Nothing was written: there is no step that lowers the error on left-out postures.'
@@ -147,6 +147,6 @@ def curve(improvement: Improvement) -> Figure:
         line, marker = {'color': COLOURS[kind]}, {'symbol': symbols, 'size': 9}
         data.append(trace(names, mm_list(errors), kind, 'lines+markers', line=line, marker=marker))
     x = {'type': 'category', 'tickangle': -90}
-    layout = axes(x, titled('rms error, logarithmic [mm]', **LOG_AXIS))
+    layout = axes(x, titled('rms error, logarithmic [mm]', **Shown.LOG_AXIS))
     title = 'The error falls step by step; hollow: not taken'
     return Figure(data, layout, title, height=Shown.TALL)

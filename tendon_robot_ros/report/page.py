@@ -10,7 +10,7 @@ from functools import cache
 from html import escape
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -30,10 +30,6 @@ def plain(values: npt.ArrayLike, scale: float = 1.0, places: int = 4) -> list[fl
     """Return numbers (n,) times a scale, rounded; None for NaN."""
     array = np.round(np.asarray(values, dtype=float) * scale, places)
     return [float(value) if np.isfinite(value) else None for value in array]
-
-
-# ticks at 1, 2, 5 of a decade: plotly's own are too many on a narrow screen
-LOG_AXIS = {'type': 'log', 'dtick': 'D2', 'tickformat': '~r'}
 
 
 def mm_list(metres: npt.ArrayLike) -> list[float | None]:
@@ -114,6 +110,8 @@ class Shown:
     # [1] noise floors of an error above which the floor would lie on the zero line: 15 px
     LOG_AXIS_FROM_FLOORS = 25.0
 
+    # ticks at 1, 2, 5 of a decade: plotly's own are too many on a narrow screen
+    LOG_AXIS: ClassVar[Trace] = {'type': 'log', 'dtick': 'D2', 'tickformat': '~r'}
     # [px] heights, so that two rows fit on a screen and a shape keeps its proportions
     LOW, NORMAL, TALL, SCENE = 280, 360, 460, 520
 
