@@ -37,11 +37,6 @@ def mm_list(metres: npt.ArrayLike) -> list[float | None]:
     return plain(metres, 1e3)
 
 
-def coordinates(points: Floats) -> Trace:
-    """Return points (n, 3) [m] as x, y and z in mm."""
-    return {axis: mm_list(points[:, i]) for i, axis in enumerate('xyz')}
-
-
 def error_bars(
     up: Sequence[float | None], down: Sequence[float | None] | None = None, width: int = 2
 ) -> dict[str, Any]:
@@ -71,7 +66,8 @@ def trace(
 
 def placed(points: Floats, mode: str, name: str, **more: Any) -> Trace:
     """Return what is drawn of points (n, 3) [m], in mm; its name is escaped."""
-    return {**coordinates(points), 'mode': mode, 'name': escape(name), **more}
+    places = {axis: mm_list(points[:, i]) for i, axis in enumerate('xyz')}
+    return {**places, 'mode': mode, 'name': escape(name), **more}
 
 
 def from_the_side(drawn: Trace) -> Trace:

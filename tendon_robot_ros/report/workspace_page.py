@@ -17,20 +17,7 @@ from ..common.words import commands, digits, listed
 from ..workspace.cubes import SPHERE_PART_COUNT, Reached
 from ..workspace.view_angle import Family, Workspace
 from ..workspace.volume import Volume, bends_as_one
-from .page import (
-    Figure,
-    Page,
-    Shown,
-    Trace,
-    axes,
-    coordinates,
-    curve,
-    from_the_side,
-    mm_list,
-    placed,
-    plain,
-    titled,
-)
+from .page import Figure, Page, Shown, Trace, axes, curve, from_the_side, placed, plain, titled
 
 HEIGHT_NAMES = ('highest tip', 'median tip', 'lowest tip')
 # [1] of the cubes that the last tenth of the postures added (about one for every cube): where more
@@ -287,7 +274,7 @@ def cloud_figure(volume: Volume) -> Figure:
     hull = {
         'type': 'mesh3d',
         'name': 'convex hull',
-        **coordinates(corners),
+        **{axis: plain(corners[:, i], 1e3) for i, axis in enumerate('xyz')},
         **{axis: faces[:, i].tolist() for i, axis in enumerate('ijk')},
         'color': PREDICTED,
         'opacity': 0.12,
@@ -348,7 +335,7 @@ def heat_map(frame: tuple[Ints, Ints, float], cells: Ints, values: Floats) -> Tr
     shape = high - low + 1
     grid = np.full((shape[1], shape[0]), np.nan)
     grid[cells[:, 1] - low[1], cells[:, 0] - low[0]] = values
-    middles = [mm_list((np.arange(low[i], high[i] + 1) + 0.5) * edge) for i in range(2)]
+    middles = [plain((np.arange(low[i], high[i] + 1) + 0.5) * edge, 1e3) for i in range(2)]
     return {
         'type': 'heatmap',
         'x': middles[0],
