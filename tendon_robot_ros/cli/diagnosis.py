@@ -26,7 +26,6 @@ from ..inference.statistics import ERRORS
 from ..report import diagnosis_text, improvement_page
 from ..report.comparison import comparison_page
 from ..report.diagnosis_page import diagnosis_page, pictures_of
-from ..report.page import Page
 from ..robot import Robot, load_robot
 from . import options
 from .main import ExitCode
@@ -160,16 +159,18 @@ class Diagnose:
                 added = add_effects(
                     dataset, names, None, catalogue, check, effects, partial=outside
                 )
-        lines, content, robot, page = [diagnosis.text()], diagnosis.to_json(), None, None
+        lines, content, robot = [diagnosis.text()], diagnosis.to_json(), None
         if added is not None:
             lines += [diagnosis_text.never_used(added), *diagnosis_text.addition_warnings(added)]
             content['added'] = added.to_json()
             robot = added.robot if added.helps and args.add and may_add else None
         outcome = outcome_of(args.add, diagnosis, added, may_add) if args.add else ''
+        lines.append(outcome)
         if args.report:
             pictures = pictures_of(diagnosis, dataset, catalogue, added)
             page = diagnosis_page(diagnosis, pictures, added, outcome.replace('    ', '; '))
-        code = conclude(args, args.add, content, [*lines, outcome], robot, page)
+            lines.append(f'report: {page.write(args.report)}')
+        code = conclude(args, args.add, content, lines, robot)
         return code if args.add and outside else 0
 
 
@@ -227,16 +228,9 @@ class Add:
 
 
 def conclude(
-    args: argparse.Namespace,
-    new: str,
-    content: dict[str, Any],
-    lines: list[str],
-    robot: Robot | None,
-    page: Page | None = None,
+    args: argparse.Namespace, new: str, content: Any, lines: list[str], robot: Robot | None
 ) -> int:
-    """Write a page and a better description, if there are any, and print; return the exit code."""
-    if page is not None:
-        lines.append(f'report: {page.write(args.report)}')
+    """Write a better description, if there is one, and print; return the exit code."""
     if robot is not None:
         options.write_description(robot, new)
     written = None if robot is None else new
@@ -316,8 +310,8 @@ class Improve:
             improvement = improve(dataset, None, catalogue, check, progress=show)
         robot = improvement.robot if improvement.taken else None
         outcome = options.next_step(args.output) if robot else improvement_page.NOT_WRITTEN
-        page = None
+        lines = [improvement.text(), outcome]
         if args.report:
             page = improvement_page.improvement_page(improvement, dataset, catalogue)
-        lines = [improvement.text(), outcome]
-        return conclude(args, args.output, improvement.to_json(), lines, robot, page)
+            lines.append(f'report: {page.write(args.report)}')
+        return conclude(args, args.output, improvement.to_json(), lines, robot)

@@ -21,6 +21,7 @@ from ..common.errors import MissingExtraError
 from ..common.files import write_text
 
 Trace = dict[str, Any]  # what plotly draws, or a part of its layout
+Along = Sequence[Any]  # along an axis: numbers, None, names or times
 FOLDER = Path(__file__).parent
 KEYS = 'Tab comes here, arrow keys show the next.'
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif'
@@ -57,9 +58,7 @@ def axes(x: str | Trace, y: str | Trace, **layout: Any) -> Trace:
     return {**named, **layout}
 
 
-def trace(
-    x: Sequence[Any], y: Sequence[Any], name: str, mode: str = 'lines', **more: Any
-) -> Trace:
+def trace(x: Along, y: Along, name: str, mode: str = 'lines', **more: Any) -> Trace:
     """Return what is drawn of x and y, as lines, markers or both; its name is escaped."""
     return {'x': x, 'y': y, 'name': escape(name), 'mode': mode, **more}
 
@@ -77,13 +76,7 @@ def from_the_side(drawn: Trace) -> Trace:
 
 
 def curve(
-    x: Sequence[Any],
-    y: Sequence[Any],
-    name: str,
-    style: LineStyle,
-    width: float = 2.0,
-    size: int = 0,
-    **more: Any,
+    x: Along, y: Along, name: str, style: LineStyle, width: float = 2.0, size: int = 0, **more: Any
 ) -> Trace:
     """Draw a curve in the line style of a model; with symbols of a size [px], if any."""
     line = {'color': style.colour, 'dash': style.dash, 'width': width}

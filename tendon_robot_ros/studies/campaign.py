@@ -193,9 +193,7 @@ NAMED = (
 )
 
 
-def campaign_page(
-    rows: Sequence[CaseRow], title: str, total: int, mixed: Sequence[str] = ()
-) -> Page:
+def campaign_page(rows: Sequence[CaseRow], title: str, total: int, mixed: Sequence[str]) -> Page:
     """Return the page of the finished rows out of `total` cases; `mixed` warns of versions."""
     page = Page(title, f'{len(rows):,} of {total:,} cases')
     page.box(rate_lines(rows), 'verdict', 'In short, with 95 % intervals')
