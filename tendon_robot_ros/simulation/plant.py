@@ -152,12 +152,10 @@ def scaled_values(effect: Effect, values: EffectValues, robot: Robot, parts: int
 class PlantShape(Shape):
     """The real arm; its markers are in the tracker's frame."""
 
-    def __init__(
-        self, shape: Shape, plant: Plant, command: Floats, displacement: bool = False
-    ) -> None:
+    def __init__(self, shape: Shape, plant: Plant, command: Floats, by_pull: bool = False) -> None:
         """Take a shape of the plant's model, and the tensions [N] or pulls [m] (m,) for it."""
         super().__init__(shape.form, shape.block)
-        self.plant, self.command, self.displacement = plant, command, displacement
+        self.plant, self.command, self.by_pull = plant, command, by_pull
 
     def markers(self, arc_length: Floats, offset: Floats) -> Floats:
         """Place markers (j, 3) [m] in the tracker's frame."""
@@ -165,7 +163,7 @@ class PlantShape(Shape):
 
     def tracked(self, points: Floats) -> Floats:
         """Move points (j, 3) [m] of the arm into the tracker's frame."""
-        seen = self.plant.tracked(points[None], self.command[None], self.displacement)
+        seen = self.plant.tracked(points[None], self.command[None], self.by_pull)
         return np.asarray(seen[0])
 
 
@@ -208,7 +206,7 @@ class Plant:
         """Return the arm under wire pulls (m,) [m], nan = slack, that follow the last call's."""
         target = np.asarray(pulls, dtype=float)
         shape = self.model.follow_pulls(self._state, target * self._gain(target[None], True)[0])
-        self._state = PlantShape(shape, self, target, displacement=True)
+        self._state = PlantShape(shape, self, target, by_pull=True)
         return self._state
 
     def shapes(
