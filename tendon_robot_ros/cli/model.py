@@ -401,9 +401,8 @@ class Sweep:
         with new_file(Path(args.output)) as draft:
             write_path(draft, rows, model.inputs)
         low, high = 1e3 * places.min(axis=0), 1e3 * places.max(axis=0)
-        spans = ', '.join(
-            f'{axis} {a:.1f} to {b:.1f}' for axis, a, b in zip('xyz', low, high, strict=True)
-        )
+        each = zip('xyz', low, high, strict=True)
+        spans = ', '.join(f'{axis} {a:.1f} to {b:.1f}' for axis, a, b in each)
         content = {'postures': len(shapes), 'tips': places.tolist(), 'written': args.output}
         text = f'{len(shapes)} postures at the {args.view:g}° view; tip {spans} mm'
         following = f'next: {PROGRAM} follow {args.output}'

@@ -245,13 +245,11 @@ def chosen(args: argparse.Namespace, tendons: Sequence[Any]) -> Any:
     return by_name[choice('--tendon', args.tendon, tuple(by_name))]
 
 
-def wait_for(
-    args: argparse.Namespace, text: str, question: str = 'press Enter when ready '
-) -> None:
+def wait_for(args: argparse.Namespace, text: str, ask: str = 'press Enter when ready ') -> None:
     """Say what is needed before a measurement, and wait for it."""
     print(text, file=sys.stderr)
     if not args.yes:
-        input(question)
+        input(ask)
 
 
 def open_motor(args: argparse.Namespace) -> tuple[Bus, Motor, Any]:

@@ -46,9 +46,8 @@ def equilibria(predictor: Predictor) -> ShapeBatch:
                 model.sequence(inputs)
             else:
                 model.shapes(inputs)
-            raise NoEquilibriumError(
-                f'a posture of {dataset.name}', model.implicit_effects, np.inf
-            )
+            where = f'a posture of {dataset.name}'
+            raise NoEquilibriumError(where, model.implicit_effects, np.inf)
         postures.append(part.rows)
         parts.append(shapes.of(predictor.last_visits(part)))
     return ShapeBatch.joined(parts).of(np.argsort(np.concatenate(postures)))

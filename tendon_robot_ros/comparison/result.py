@@ -220,9 +220,8 @@ class Comparison(TextResult):
         if posture is not None and posture not in names:
             raise InputError(f'no posture {posture!r}; there are: {", ".join(names)}')
         p = self.worst_posture(self.best) if posture is None else names.index(posture)
-        figure = plot_sides(
-            self.measured.mean[p], {m.name: (m.line[p], m.markers[p]) for m in self.models}
-        )
+        predicted = {model.name: (model.line[p], model.markers[p]) for model in self.models}
+        figure = plot_sides(self.measured.mean[p], predicted)
         figure.suptitle(f'{self.measured.data}, {names[p]}')
         return figure
 

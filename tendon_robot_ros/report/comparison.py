@@ -329,9 +329,8 @@ class DrawnPosture:
         self.caption = '; '.join(words)
         # [rad] in which it bends, as measured and as predicted
         self.azimuth = bending_azimuth(np.concatenate(lines))
-        self.traces = posture_traces(comparison, p) + fault_rings(
-            best.line[p], marks(faults, name)
-        )
+        self.traces = posture_traces(comparison, p)
+        self.traces += fault_rings(best.line[p], marks(faults, name))
         if name in pushes:
             across = 0.0 if is_planar(comparison) else self.azimuth
             self.traces += pushes[name].traces(comparison.measured.arc_lengths.max(), across)

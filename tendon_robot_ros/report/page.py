@@ -106,9 +106,7 @@ class Shown:
 
     FIGURES = 4  # of a kind: two rows, so that the next heading is seen
     POSTURES = 12  # as pictures, so that the page opens at once
-    LOOP = (
-        32  # postures of a sequence in a picture at most, so that one loop or two are seen apart
-    )
+    LOOP = 32  # postures of a sequence in a picture, so that one loop or two are seen apart
     OWN_BOXES = 6  # postures with boxes of their own, else these are too thin
     BOX_POINTS = 200  # trials beside their box, else they cover it
     MARKERS = 4  # with a number of their own, else a row of the table does not fit

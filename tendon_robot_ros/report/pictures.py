@@ -274,9 +274,8 @@ def draw_errors(axes: Any, run: PathRun) -> None:
         axes.legend(fontsize='small', ncols=3, loc='upper right')
         return
     errors, _ = run.errors(run.tips.times)
-    axes.plot(
-        run.tips.times, 1e3 * errors, color=_tip_colour(run), label='from the target of the moment'
-    )
+    colour, label = _tip_colour(run), 'from the target of the moment'
+    axes.plot(run.tips.times, 1e3 * errors, color=colour, label=label)
     axes.plot(run.tips.times, 1e3 * run.across(), ':', color=INK, label='from the path')
     at, _ = run.errors(run.row_times)
     if len(at) <= Shown.MARKED_ROWS:

@@ -201,13 +201,11 @@ def as_built(report: Mapping[str, Any] | None) -> list[str]:
         return []
     sizes = []
     for kind in report['kinds']:
-        name, size, low, high = (kind[key] for key in ('kind', 'size', 'low', 'high'))
+        name, size, low, high, unit = (kind[k] for k in ('kind', 'size', 'low', 'high', 'unit'))
         if not kind['told']:
             continue
-        shown, least, most = (
-            '' if end is None else amount(end, kind['unit']) for end in (size, low, high)
-        )
-        interval = f'{shown} ({least} to {most})'
+        said, least, most = ('' if end is None else amount(end, unit) for end in (size, low, high))
+        interval = f'{said} ({least} to {most})'
         if low <= 0.0 or high is None:  # where one end is open, the other one alone
             interval = f'below {most}' if low <= 0.0 else f'above {least}'
         sizes.append(f'{KIND_NAMES[name]} {interval}')

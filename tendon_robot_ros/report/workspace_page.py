@@ -13,7 +13,7 @@ import numpy as np
 
 from ..common.arrays import Floats, Ints, evenly
 from ..common.colours import ERROR, FLOOR, INK, PREDICTED, line_style
-from ..common.words import commands, digits, listed
+from ..common.words import commands, digits, listed, mm
 from ..workspace.cubes import SPHERE_PART_COUNT, Reached
 from ..workspace.view_angle import Family, Workspace
 from ..workspace.volume import Volume, bends_as_one
@@ -60,9 +60,7 @@ def towards(family: Family) -> str:
 
 def spans(family: Family) -> list[str]:
     """Show the range of the tips across the backbone (x, or the larger of x and y) and along z."""
-    return [
-        f'{digits(1e3 * float(size), 3)} mm' for size in (family.span[:2].max(), family.span[2])
-    ]
+    return [mm(float(size)) for size in (family.span[:2].max(), family.span[2])]
 
 
 def degree(angle: float) -> str:

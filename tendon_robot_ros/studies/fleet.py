@@ -341,9 +341,8 @@ def map_parameters(history: Sequence[FleetRow]) -> list[Figure]:
         known = np.array([row.fitted(name) for row in rows])  # (r, 3) value, low, high
         factor, unit = _scale(rows[0], name, known)
         value, low, high = factor * known.T
-        bars = error_bars(
-            plain(np.maximum(high - value, 0.0)), plain(np.maximum(value - low, 0.0))
-        )
+        up, down = (plain(np.maximum(side, 0.0)) for side in (high - value, value - low))
+        bars = error_bars(up, down)
         when, line = [row.when for row in rows], {'color': PREDICTED}
         data = [trace(when, value.tolist(), '', 'lines+markers', line=line, error_y=bars)]
         layout = axes({'type': 'date'}, f'[{unit or 1}]')

@@ -51,11 +51,9 @@ class PlanReader(Reader):
 
     refusal = InputError
 
-    def numbers_in(
-        self, key: str, low: float, high: float, default: Sequence[float]
-    ) -> list[float]:
+    def numbers_in(self, key: str, low: float, high: float, usual: Sequence[float]) -> list[float]:
         """Return a list of numbers within bounds."""
-        value = self.content.get(key, list(default))
+        value = self.content.get(key, list(usual))
         if not isinstance(value, list) or not value:
             raise self.error(key, 'a list of numbers', value)
         return [self._number(f'{key}[{i}]', one, low, high, '1') for i, one in enumerate(value)]

@@ -50,9 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add('robot', metavar='ROBOT', help='robot description, as its owner believes it')
     add('--hidden', nargs='+', action='extend', default=[], metavar='EFFECT[:NAME=VALUE,...]')
     add('--level', type=float, default=1.0, metavar='X', help='how badly it is built (default: 1)')
-    add(
-        '--seed', type=int, default=0, metavar='N', help='another seed: another robot, other noise'
-    )
+    what = 'another seed: another robot, other noise'
+    add('--seed', type=int, default=0, metavar='N', help=what)
     add('--noise', default='', metavar='NAME=VALUE,...', help='as of simulate')
     add('--input', choices=INPUTS, default='tension', help='what the motors set')
     add('--path', choices=LOADINGS, default='from_straight', help='how postures are reached')
