@@ -262,8 +262,8 @@ def tendons_of(
 ) -> list[dict[str, Any]]:
     """Spread the tendons of a section evenly; each section's stand between those of the last."""
     prefix = 'tendon' if sections == 1 else section
-    planar = many <= 2
-    names, first = ('right', 'left') if planar else range(1, many + 1), 0 if planar else index % 2
+    names = ('right', 'left') if many <= 2 else range(1, many + 1)
+    first = 0 if many <= 2 else index % 2
     tendons = []
     for j, name in zip(range(many), names, strict=False):
         angle = math.pi / many * (first + 2.0 * j)
