@@ -30,6 +30,8 @@ def test_the_page_holds_every_published_number_and_meets_it(tmp_path, capsys):
     assert [row['what'] for row in rows if row['met'] == 'not met'] == []
     page = (tmp_path / 'paper/paper.html').read_text(encoding='utf-8')
     assert 'What is assumed' in page and 'three wires spread by ±60°, 5 N each' in page
+    assert 'Cannot be judged: 2 measured posture(s)' in page
+    assert page.count('Cannot be judged') == 1, 'with as many as it asks for it can be'
     assert 'src="http' not in page
     assert 'written:' in capsys.readouterr().out
 

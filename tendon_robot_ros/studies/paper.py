@@ -376,9 +376,8 @@ def add_tension(page: Page, experiment: TensionExperiment) -> None:
     )
     title = 'What diagnose says about these two postures'
     page.box(diagnosis_lines(experiment.alone), 'warn', title)
-    for i, one in enumerate(experiment.more):
-        title = 'With the posture that it asks for' if i == 0 else 'And with the next one'
-        page.box(diagnosis_lines(one), '', title)
+    title = 'With as many postures as it asks for'
+    page.box(diagnosis_lines(experiment.enough), '', title)
     redrawn = experiment.redrawn
     ends = Counter(f'{one.verdict} ({listed(e.name for e in one.effects)})' for one in redrawn)
     page.text(
@@ -390,7 +389,7 @@ def add_tension(page: Page, experiment: TensionExperiment) -> None:
 
 
 def diagnosis_lines(diagnosis: Diagnosis) -> list[str]:
-    """Describe the diagnosis of the two postures, and the posture that it proposes."""
+    """Describe a diagnosis, and the posture that it proposes."""
     error, floor = mm(diagnosis.error_before), mm(diagnosis.noise_floor)
     lines = [
         *diagnosis_text.verdict(diagnosis).split('\n'),

@@ -78,7 +78,6 @@ class Assumed:
         'bending_stiffness': 0.05,
     }
     NOISE_DRAWS = 4  # repetitions with other noise: how much of the end is chance
-    DIAGNOSIS_ROUNDS = 3  # postures at most that are measured because a diagnosis proposes them
     # section IV.E, of the 2:1 prototype, whose outer radius is 1.7 mm
     SMALL_ARMS_M = (1.0e-3, 1.15e-3, 1.3e-3, 1.45e-3, 1.6e-3)
     CELL_COUNTS = (15, 30, 60)  # around the 30 that are published of another prototype

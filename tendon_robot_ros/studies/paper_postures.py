@@ -21,11 +21,12 @@ from ..comparison.compare import compare
 from ..comparison.result import Comparison
 from ..data import DataSet, default_markers
 from ..diagnosis.diagnose import diagnose
-from ..diagnosis.result import Diagnosis
+from ..diagnosis.verdict import POSTURES_ENOUGH
 from ..model.model import Model
 from ..robot import Robot
 from ..simulation.measurements import simulate
 from ..simulation.plant import Plant, make_plant
+from ..workspace.postures import default_postures
 from ..workspace.view_angle import Pair, pairs_of
 from .paper_motion import Assumed, Published, Range, at_view, pcca, with_arm, with_cells
 
@@ -228,12 +229,14 @@ class TensionExperiment:
         )
         one, two = Model(pcca(robot)).shapes([*Published.POSTURES_N.values()]).tip_position
         self.same = float(np.linalg.norm(one - two))  # [m] between PCCA's tips
-        # of the two postures; then with the posture that the diagnosis before proposes
-        self.alone, *self.more = diagnose_and_measure(robot, 0)
-        # where that ends with other noise
-        self.redrawn = [
-            diagnose_and_measure(robot, seed)[-1] for seed in range(1, 1 + Assumed.NOISE_DRAWS)
-        ]
+        self.alone = diagnose(self.data)  # of the two postures
+        # with as many postures as it asks for, and where that ends with other noise
+        further = default_postures(robot, POSTURES_ENOUGH - len(Published.POSTURES_N)).tolist()
+        names = (f'further {i}' for i in range(1, 1 + len(further)))
+        enough = Published.POSTURES_N | dict(zip(names, further, strict=True))
+        self.enough, *self.redrawn = (
+            diagnose(measured(robot, enough, seed)) for seed in range(1 + Assumed.NOISE_DRAWS)
+        )
 
 
 def measured(robot: Robot, postures: Mapping[str, tuple[float, ...]], seed: int) -> DataSet:
@@ -272,17 +275,6 @@ def errors_of_lever(robot: Robot, lever: float) -> dict[tuple[str, str], float]:
         for name, model in cells.items()
         for p, posture in enumerate(Published.POSTURES_N)
     }
-
-
-def diagnose_and_measure(robot: Robot, seed: int) -> list[Diagnosis]:
-    """Diagnose the published postures, and again with those that the diagnoses propose."""
-    postures: dict[str, tuple[float, ...]] = dict(Published.POSTURES_N)
-    diagnoses = [diagnose(measured(robot, postures, seed))]
-    while len(diagnoses) <= Assumed.DIAGNOSIS_ROUNDS and diagnoses[-1].next_measurement:
-        following = diagnoses[-1].next_measurement.input
-        postures[f'asked for {len(diagnoses)}'] = tuple(following[name] for name in robot.inputs)
-        diagnoses.append(diagnose(measured(robot, postures, seed)))
-    return diagnoses
 
 
 class Gap(NamedTuple):
