@@ -124,6 +124,11 @@ def test_the_command_writes_table_arrays_and_page(tmp_path, capsys):
     assert '60° view' in (out / 'workspace.html').read_text(encoding='utf-8')
     assert main([*call, '--output', str(out)]) == 1
     assert 'use --overwrite' in capsys.readouterr().err
+    (out / 'mine.txt').touch()
+    assert main([*call, '--output', str(out), '--overwrite']) == 1
+    said = capsys.readouterr()
+    assert 'it holds mine.txt' in said.err
+    assert 'opposite sides' not in said.out, 'told before the work'
 
 
 def single(effects=None, cells=8):

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import InputError, choice, whole
-from ..common.files import file_to_write, new_file, new_folder, write_text
+from ..common.files import file_to_write, new_file, new_folder, refuse_other_files, write_text
 from ..common.results import plain
 from ..common.words import PROGRAM, columns, other_unit
 from ..data.path_files import TendonRows, TipRows, write_path
@@ -277,11 +277,13 @@ class WorkspaceCommand:
     def run(self, args: argparse.Namespace) -> None:
         """Sample or sweep, print, write."""
         folder = Path(args.output) if args.output else None
-        if folder and folder.exists() and not args.overwrite:
+        if folder and folder.exists():
             from ..workspace.volume import KEPT
 
-            if any(path.name not in KEPT for path in folder.iterdir()):  # more than to go on from
+            others = any(path.name not in KEPT for path in folder.iterdir())
+            if others and not args.overwrite:  # more than to go on from
                 raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
+            refuse_other_files(folder, (*FILES, *KEPT))
         model = load_model(args)
         in_pairs = bool(args.view) and not tendon_offsets(model.robot)[..., 1].any()
         for name in ('postures', 'cubes') if in_pairs else ('step',):

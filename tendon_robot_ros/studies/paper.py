@@ -23,7 +23,7 @@ import numpy as np
 from ..cli.options import declare, emit, progress
 from ..common.colours import line_style
 from ..common.errors import InputError, Progress
-from ..common.files import new_folder, write_text
+from ..common.files import new_folder, refuse_other_files, write_text
 from ..common.words import capital, columns, digits, listed, mm
 from ..comparison.result import Comparison
 from ..data import DataSet
@@ -63,6 +63,7 @@ def run(args: argparse.Namespace) -> None:
     folder = Path(args.output)
     if folder.exists() and any(folder.iterdir()) and not args.overwrite:
         raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
+    refuse_other_files(folder, PAPER_FILES)
     places = [Path(args.robots, f'{one}.yaml') if args.robots else one for one in PAPER_ROBOTS]
     with progress() as show:
         paper = Paper([load_robot(place) for place in places], show)
