@@ -81,7 +81,7 @@ def system_in(chain, count, start):
 
 
 @compiled
-def answer_own(chain, system, row, s):
+def answer_own(system, row, s):
     """Fill by_own: the answer of all beyond a cell to its own bend and twist."""
     kt, frame, width = system.kt, system.frame, system.width
     own, loads = floats(system.by_own), system.right - frame
@@ -89,10 +89,8 @@ def answer_own(chain, system, row, s):
         answers = floats(s + 8 * width * r)
         for a in range(frame - kt):
             total = answers[kt + a]
-            for m in range(min(loads, 3)):
+            for m in range(loads):  # behind the rows of ROTATIONS are those of SHIFTS
                 total += answers[frame + m] * floats(row)[part.ROTATIONS + 3 * m + a]
-            for m in range(loads - 3):
-                total += answers[frame + 3 + m] * pushed_part(chain, row)[part.SHIFTS + 3 * m + a]
             own[3 * r + a] = total
 
 
@@ -167,14 +165,6 @@ def slide_together(system, i, row, s, count):
 
 
 @inlined
-def by_load(chain, row, a, m):
-    """Differentiate residual a of a cell by torque (m below 3) or force at its end."""
-    if m < 3:
-        return floats(row)[part.BY_TORQUE + 3 * a + m]
-    return pushed_part(chain, row)[part.BY_FORCE + 3 * a + m - 3]
-
-
-@inlined
 def moved_by(row, m, a):
     """Component m of how far the end of a cell moves when its start turns about axis a [m/rad]."""
     if m == a:
@@ -192,7 +182,7 @@ def answer_pushes(chain, system, i, row, s):
         answers = floats(s + 8 * width * (kt + r))
         for c in range(6):  # behind the rows of PUSH_TORQUE are those of PUSH_FORCE
             answers[frame + c] += slopes[part.PUSH_TORQUE + 6 * r + c]
-    answer_own(chain, system, row, s)
+    answer_own(system, row, s)
     for r in range(kt + 6):
         answers = floats(s + 8 * width * r)
         for a in range(3):
@@ -208,27 +198,29 @@ def answer_pushes(chain, system, i, row, s):
 def gather_cell(chain, system, i, row, s):
     """Fill the pivot of cell i, and move all outside it to its right-hand sides."""
     kt, frame, width, size = (system.kt, system.frame, system.width, system.frame - system.kt)
-    slopes, pivot, loads = floats(row), floats(system.pivot), system.right - frame
+    pivot, loads = floats(system.pivot), system.right - frame
     changes, bends = system.tensions + 8 * width * kt * i, system.bends + 8 * width * size * i
     for q in range(9):
-        pivot[q] = slopes[part.OWN + q]
+        pivot[q] = floats(row)[part.ACROSS * (q // 3) + q % 3]
     for k in range(kt):
         if i >= words(chain.tendon)[2 * k]:
             continue
         for a in range(size):
+            residual = floats(row + 8 * part.ACROSS * a)
             factor = tendon_part(row, k)[part.BY_TENSION + a]
-            for m in range(loads):
-                factor += by_load(chain, row, a, m) * floats(s)[width * (kt + m) + k]
+            for m in range(loads):  # behind BY_TORQUE is BY_FORCE
+                factor += residual[part.BY_TORQUE + m] * floats(s)[width * (kt + m) + k]
             for b in range(size):
                 pivot[3 * a + b] += factor * floats(system.direct)[3 * k + b]
             add_row(bends + 8 * width * a, -factor, changes + 8 * width * k, ZERO, width)
     for a in range(size):
+        residual = floats(row + 8 * part.ACROSS * a)
         for m in range(loads):
-            factor = by_load(chain, row, a, m)
+            factor = residual[part.BY_TORQUE + m]
             for b in range(size):
                 pivot[3 * a + b] += factor * floats(system.by_own)[3 * (kt + m) + b]
             if m < 3:
-                floats(bends)[width * a + frame + m] -= slopes[part.BY_ROTATION + 3 * a + m]
+                floats(bends)[width * a + frame + m] -= residual[part.BY_ROTATION + m]
             add_row(bends + 8 * width * a, -factor, s + 8 * width * (kt + m), frame, width)
 
 
@@ -350,7 +342,7 @@ def eliminate(chain, system, tangent):
         if system.right == system.frame + 6:
             answer_pushes(chain, system, i, row, s)
         else:
-            answer_own(chain, system, row, s)
+            answer_own(system, row, s)
         pass_tensions(chain, system, i, row, s)
         gather_cell(chain, system, i, row, s)
         solve_cell(system, i)
@@ -369,20 +361,16 @@ def eliminate(chain, system, tangent):
 @compiled
 def move_frame(chain, system, i, row, own, u):
     """Change rotation, and place, where cell i starts, which u holds, to those where it ends."""
-    kt, frame, more = system.kt, system.frame, pushed_part(chain, row)
-    for m in range(system.right - frame - 3):
-        at = part.SHIFTS + 3 * m
-        move = more[at] * own[0] + more[at + 1] * own[1] + more[at + 2] * own[2]
-        for a in range(3):
-            move += moved_by(more, m, a) * u[frame + a]
-        for k in range(kt):
-            if i < words(chain.tendon)[2 * k]:
-                move += more[part.REACH + m] * more[part.GROWS] * u[k]
-        u[frame + 3 + m] += move
-    for m in range(min(system.right - frame, 3)):
+    frame, slopes, more = system.frame, floats(row), pushed_part(chain, row)
+    for m in range(system.right - frame - 1, -1, -1):  # the place by the rotation at the start
         at = part.ROTATIONS + 3 * m
-        slopes = floats(row)
-        u[frame + m] += slopes[at] * own[0] + slopes[at + 1] * own[1] + slopes[at + 2] * own[2]
+        move = slopes[at] * own[0] + slopes[at + 1] * own[1] + slopes[at + 2] * own[2]
+        for a in range(3 if m >= 3 else 0):
+            move += moved_by(more, m - 3, a) * u[frame + a]
+        for k in range(system.kt if m >= 3 else 0):
+            if i < words(chain.tendon)[2 * k]:
+                move += more[part.REACH + m - 3] * more[part.GROWS] * u[k]
+        u[frame + m] += move
 
 
 @compiled

@@ -44,7 +44,6 @@ from .layout import (
     words,
 )
 from .loads import (
-    BASE_FRAME,
     NO_LOAD,
     along_middle,
     bow_compliance,
@@ -76,13 +75,16 @@ def _starts(*sizes):
     return accumulate(sizes, initial=0)
 
 
-# Derivatives of a cell, in their order: matrices of three by three. The residual [rad] by the own
-# bend and twist, by the rotation of the first frame (rotation vector, base frame) and by the
-# torque [N·m] at the end; the rotation of the last frame by the own bend and twist; the torque at
-# the start by the rotation of the first frame and by the own bend and twist.
-MATRIX = len(BASE_FRAME)  # entries of such a matrix
-OWN, BY_ROTATION, BY_TORQUE, ROTATIONS, TORQUE_BY_ROTATION, TORQUE_BY_OWN, SIZE = _starts(
-    MATRIX, MATRIX, MATRIX, MATRIX, MATRIX, MATRIX
+# Derivatives of a cell, in their order. The residual of bend (x, y) and twist [rad], a row of
+# ACROSS entries for each: by the own bend and twist, by the rotation of the first frame (rotation
+# vector, base frame), by the torque [N·m] and by the force [N] at the end.
+XYZ = len(NO_LOAD)
+MATRIX = XYZ * XYZ
+OWN, BY_ROTATION, BY_TORQUE, BY_FORCE, ACROSS = _starts(XYZ, XYZ, XYZ, XYZ)
+# Behind it matrices. How the last frame turns and where it goes [m] by the own bend and twist; the
+# torque at the start by the rotation of the first frame and by the own bend and twist.
+_, ROTATIONS, SHIFTS, TORQUE_BY_ROTATION, TORQUE_BY_OWN, SIZE = _starts(
+    XYZ * ACROSS, MATRIX, MATRIX, MATRIX, MATRIX
 )
 # Then of every tendon: the residual by its tension; its tension behind the eyelet at the cell's
 # start by that before it, by bend and twist before and within the cell, by the travel beyond; its
@@ -91,19 +93,18 @@ OWN, BY_ROTATION, BY_TORQUE, ROTATIONS, TORQUE_BY_ROTATION, TORQUE_BY_OWN, SIZE 
 BY_TENSION, PASSED, BEFORE, WITHIN, SLIDES, TRAVELS, PULLS, LAGS, TENDON = _starts(
     3, 1, 3, 3, 1, 3, 3, 1
 )
-# Last, if something pushes at a place: the residual by the force [N] at the end; where the cell
-# ends [m] by the own bend and twist; the torque at the start by the force at the end; where the
+# Last, if something pushes at a place: the torque at the start by the force at the end; where the
 # cell ends, from its start (3,) [m]; torque [N·m] and force [N] of the push by rotation and place
 # of the end; how much the cell grows per tension [1/N].
-BY_FORCE, SHIFTS, TORQUE_BY_FORCE, REACH, PUSH_TORQUE, PUSH_FORCE, GROWS, PUSHED = _starts(
-    9, 9, 9, 3, 18, 18, 1
+TORQUE_BY_FORCE, REACH, PUSH_TORQUE, PUSH_FORCE, GROWS = _starts(
+    MATRIX, XYZ, MATRIX + MATRIX, MATRIX + MATRIX
 )
 
 
 @compiled
 def tangent_width(chain):
     """Floats that the derivatives of a cell take."""
-    return SIZE + TENDON * chain.k + (PUSHED if stages.push_acts(chain) else 0)
+    return SIZE + TENDON * chain.k + (GROWS + 1 if stages.push_acts(chain) else 0)
 
 
 @compiled
@@ -159,6 +160,12 @@ def loaded_cell(chain, work, i, x, y, loads, bow, general):
     return (mx, my, about), end, middle
 
 
+@inlined
+def put(row, at, width, column):
+    """Put a triple as a column into three rows of a width, from an entry on."""
+    row[at], row[at + width], row[at + 2 * width] = column
+
+
 @compiled
 def difference(h, a, b):
     """Return (a - b) / (2 h) of two triples."""
@@ -189,14 +196,14 @@ def load_slopes(chain, bend, work, i, tangent, total):
             cross(turned(f, difference(h, mid, lowmid)), own),
         )
         for r in range(3):
-            row[OWN + 3 * r + a] += by_bend[r]
-            row[TORQUE_BY_OWN + 3 * r + a] = by_own[r]
+            row[OWN + ACROSS * r + a] += by_bend[r]
+        put(row, TORQUE_BY_OWN + a, 3, by_own)
     rotation_slopes(chain, f, work, i, x, y, (force, torque, own), bow, row, general)
     if general:  # half a twist turns the frame that bends about its z
         z = (0.5 * f[2], 0.5 * f[5], 0.5 * f[8])
         for a in range(3):
-            by, of = BY_ROTATION + 3 * a, TORQUE_BY_ROTATION + 3 * a
-            row[OWN + 3 * a + 2] += z[0] * row[by] + z[1] * row[by + 1] + z[2] * row[by + 2]
+            by, of = BY_ROTATION + ACROSS * a, TORQUE_BY_ROTATION + 3 * a
+            row[OWN + ACROSS * a + 2] += z[0] * row[by] + z[1] * row[by + 1] + z[2] * row[by + 2]
             turn = z[0] * row[of] + z[1] * row[of + 1] + z[2] * row[of + 2]
             row[TORQUE_BY_OWN + 3 * a + 2] = turn
     if stages.push_acts(chain):
@@ -208,7 +215,8 @@ def load_slopes(chain, bend, work, i, tangent, total):
 @entry()
 def push_slopes(chain, bend, work, i, tangent):
     """Fill what a push on the ends of the cells adds to the derivatives of cell i."""
-    row, general, h = pushed_part(chain, tangent), is_general(chain), DIFFERENCE_STEP
+    row, more = floats(tangent), pushed_part(chain, tangent)
+    general, h = is_general(chain), DIFFERENCE_STEP
     x, y, scale = floats(bend)[2 * i], floats(bend)[2 * i + 1], floats(work.settings)[LOAD_SCALE]
     f, wrench = bending_frame(chain, bend, work, i, general), floats(work.wrench + 48 * i)
     force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
@@ -218,19 +226,17 @@ def push_slopes(chain, bend, work, i, tangent):
     unloaded = (NO_LOAD, NO_LOAD, NO_LOAD)
     _, end, _ = loaded_cell(chain, work, i, x, y, unloaded, 0.0, general)
     whole = turned(f, end)
-    row[REACH], row[REACH + 1], row[REACH + 2] = whole
+    put(more, REACH, 1, whole)
     for r in range(3):
         unit = (1.0 if r == 0 else 0.0, 1.0 if r == 1 else 0.0, 1.0 if r == 2 else 0.0)
         # moments and torque are squares of the force: a difference over any step is their slope
         up, low = local(f, plus(force, unit)), local(f, plus(force, scaled(-1.0, unit)))
         m, end, middle = loaded_cell(chain, work, i, x, y, (up, torque, own), bow, general)
         n, far, behind = loaded_cell(chain, work, i, x, y, (low, torque, own), bow, general)
-        by = difference(1.0, m, n)
-        row[BY_FORCE + r], row[BY_FORCE + 3 + r], row[BY_FORCE + 6 + r] = by
+        put(row, BY_FORCE + r, ACROSS, difference(1.0, m, n))
         after = plus(cross(end, up), cross(middle, own))
         by = turned(f, difference(1.0, after, plus(cross(far, low), cross(behind, own))))
-        row[TORQUE_BY_FORCE + r], row[TORQUE_BY_FORCE + 3 + r] = by[0], by[1]
-        row[TORQUE_BY_FORCE + 6 + r] = by[2]
+        put(more, TORQUE_BY_FORCE + r, 3, by)
         if r < 2:
             dx, dy = (h, 0.0) if r == 0 else (0.0, h)
             _, end, _ = loaded_cell(chain, work, i, x + dx, y + dy, unloaded, 0.0, general)
@@ -238,12 +244,12 @@ def push_slopes(chain, bend, work, i, tangent):
             by = turned(f, difference(h, end, far))
         else:  # half the twist turns the end about the axis of the frame that bends
             by = cross((0.5 * f[2], 0.5 * f[5], 0.5 * f[8]), whole)
-        row[SHIFTS + r], row[SHIFTS + 3 + r], row[SHIFTS + 6 + r] = by
+        put(row, SHIFTS + r, 3, by)
         a, b = turned_by(frame, scaled(h, unit)), turned_by(frame, scaled(-h, unit))
-        fill_push(chain, work, i, place, a, place, b, scale / (2.0 * h), row, r)
+        fill_push(chain, work, i, place, a, place, b, scale / (2.0 * h), more, r)
         step = h * reach
         a, b = plus(place, scaled(step, unit)), plus(place, scaled(-step, unit))
-        fill_push(chain, work, i, a, frame, b, frame, scale / (2.0 * step), row, 3 + r)
+        fill_push(chain, work, i, a, frame, b, frame, scale / (2.0 * step), more, 3 + r)
 
 
 @compiled
@@ -301,26 +307,22 @@ def rotation_slopes(chain, f, work, i, x, y, beyond, bow, row, general):
         m, _, _ = loaded_cell(chain, work, i, x, y, wrench, 0.0, general)
         local_unit = local(f, unit)
         tx, ty = turn_moment(x, y, local_unit, sinc, versine, leaning)
-        row[BY_ROTATION + r], row[BY_ROTATION + 3 + r] = m[0], m[1]
-        row[BY_TORQUE + r], row[BY_TORQUE + 3 + r] = tx, ty
-        row[ROTATIONS + 3 * r], row[ROTATIONS + 3 * r + 1] = tx, ty
-        if general:
-            about = axial_moment(x, y, sinc, versine, local_unit, local_unit)
-            row[BY_ROTATION + 6 + r] = m[2]
-            row[BY_TORQUE + 6 + r] = row[ROTATIONS + 3 * r + 2] = about
+        about = axial_moment(x, y, sinc, versine, local_unit, local_unit) if general else 0.0
+        put(row, BY_ROTATION + r, ACROSS, m)
+        put(row, BY_TORQUE + r, ACROSS, (tx, ty, about))
+        put(row, ROTATIONS + 3 * r, 1, (tx, ty, about))
         by_rotation = plus(cross(cross(unit, end), force), cross(cross(unit, middle), own))
         if bow > 0.0:
             change = local(f, cross(half, unit))
             h, hx, hy = along_middle(x, y, s, c, part, change)
             row[BY_ROTATION + r] -= bow * (h * gx + g * hx)
-            row[BY_ROTATION + 3 + r] -= bow * (h * gy + g * hy)
+            row[BY_ROTATION + ACROSS + r] -= bow * (h * gy + g * hy)
             # the torque is -B g m x F: that in the frame that bends, turned with it and by itself
             change = plus(scaled(h, turning), scaled(g, cross(tangent, change)))
-            row[BY_ROTATION + 6 + r] -= 0.5 * bow * change[2]
+            row[BY_ROTATION + 2 * ACROSS + r] -= 0.5 * bow * change[2]
             bowed = plus(turned(f, change), scaled(g, cross(unit, turned(f, turning))))
             by_rotation = plus(by_rotation, scaled(-bow, bowed))
-        for a in range(3):
-            row[TORQUE_BY_ROTATION + 3 * a + r] = by_rotation[a]
+        put(row, TORQUE_BY_ROTATION + r, 3, by_rotation)
 
 
 @compiled
@@ -346,8 +348,8 @@ def compression_slopes(chain, bend, work, i, total, tangent):
     for k in range(chain.k):
         if i < words(chain.tendon)[2 * k]:
             slopes = tendon_part(tangent, k)
-            slopes[BY_TENSION], slopes[BY_TENSION + 1], slopes[BY_TENSION + 2] = scaled(rate, m)
-            slopes[PULLS], slopes[PULLS + 1], slopes[PULLS + 2] = scaled(rate, pull)
+            put(slopes, BY_TENSION, 1, scaled(rate, m))
+            put(slopes, PULLS, 1, scaled(rate, pull))
 
 
 @compiled
@@ -408,8 +410,7 @@ def moment_slopes(chain, work, i, x, y, twist, scale, tangent, path_lost):
         dx, dy, dz = h if a == 0 else 0.0, h if a == 1 else 0.0, h if a == 2 else 0.0
         up = add_moments(chain, i, x + dx, y + dy, twist + dz, tensions, scale, path_lost)
         low = add_moments(chain, i, x - dx, y - dy, twist - dz, tensions, scale, path_lost)
-        by = difference(h, up, low)
-        row[OWN + a], row[OWN + 3 + a], row[OWN + 6 + a] = by
+        put(row, OWN + a, ACROSS, difference(h, up, low))
 
 
 @entry()
@@ -558,16 +559,11 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
     if loads:
         chain.load_slopes(chain, bend, work, i, tangent, total)
     a, b, c, d, e, f = compliances(chain, past, i, mx, my, total)
-    for q in range(9 if loads else 3):
-        start = OWN + 9 * (q // 3) + q % 3  # of OWN, BY_ROTATION and BY_TORQUE
-        u, v = row[start], row[start + 3]
-        row[start], row[start + 3] = -(a * u + c * v), -(b * u + d * v)
-    for q in range(3 if stages.push_acts(chain) else 0):
-        more = pushed_part(chain, tangent)
-        u, v = more[BY_FORCE + q], more[BY_FORCE + 3 + q]
-        more[BY_FORCE + q], more[BY_FORCE + 3 + q] = -(a * u + c * v), -(b * u + d * v)
+    for q in range(ACROSS if loads else 3):
+        u, v = row[q], row[ACROSS + q]
+        row[q], row[ACROSS + q] = -(a * u + c * v), -(b * u + d * v)
     row[OWN] += 1.0
-    row[OWN + 4] += 1.0
+    row[OWN + ACROSS + 1] += 1.0
     lever, tendon = floats(moment_arms), words(chain.tendon)
     for k in range(chain.k):
         if i >= tendon[2 * k]:
@@ -587,13 +583,9 @@ def fill_twist(chain, work, i, tangent, loads):
     row, about = floats(tangent), axial_moment_on(chain, work, i, loads)
     h = DIFFERENCE_STEP * cell_stiffness(chain, i)  # [N·m]
     yields = (twist_of(chain, i, about + h) - twist_of(chain, i, about - h)) / (2.0 * h)
-    for b in range(3):
-        row[OWN + 6 + b] *= -yields
-        row[BY_ROTATION + 6 + b] *= -yields
-        row[BY_TORQUE + 6 + b] *= -yields
-        if stages.push_acts(chain):
-            pushed_part(chain, tangent)[BY_FORCE + 6 + b] *= -yields
-    row[OWN + 8] += 1.0
+    for q in range(ACROSS):
+        row[2 * ACROSS + q] *= -yields
+    row[OWN + 2 * ACROSS + 2] += 1.0
     for k in range(chain.k):
         if i < words(chain.tendon)[2 * k]:
             slopes = tendon_part(tangent, k)
