@@ -11,7 +11,7 @@ from processes import run
 from source_tree import ROOT
 
 from tendon_robot_ros.effects import catalogue
-from tendon_robot_ros.model.kernel.layout import compiled, jit, lawful
+from tendon_robot_ros.model.kernel.layout import compiled, contracted, jit
 from tendon_robot_ros.model.kernel.linking import EntryCompiler, record_type
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
@@ -80,7 +80,7 @@ def test_a_law_may_hold_what_no_function_of_the_kernel_has():
             total += factor * x
         return total
 
-    composed = lawful(law)
+    composed = contracted(law)
     entry = jit(pipeline_class=EntryCompiler)(lambda x: composed(x) + 1.0)
     assert entry(2.0) == 9.0
 

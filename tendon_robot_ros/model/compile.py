@@ -79,12 +79,14 @@ def stages_source(catalogue: Catalogue) -> str:
         '',
         'from tendon_robot_ros.effects.catalogue import registered',
         '',
-        'from .layout import compiled, flags, floats, lawful',
+        'from .layout import compiled, contracted, flags, floats',
         '',
     ]
     for effect in catalogue:
         number = where.index[effect.name]
-        lines.append(f'law_{number} = lawful(registered({effect.name!r}, {effect.digest!r}).law)')
+        lines.append(
+            f'law_{number} = contracted(registered({effect.name!r}, {effect.digest!r}).law)'
+        )
     for stage in STAGES.values():
         takes = ', '.join(quantity.name for quantity in stage.inputs)
         value = ', '.join(quantity.name for quantity in stage.outputs)

@@ -25,12 +25,11 @@ from tendon_robot_ros.model.compile import GAP_ACCEPTED_M as GAP_ACCEPTED_M
 from tendon_robot_ros.model.compile import LEAST_TENSION_N as LEAST_TENSION_N
 from tendon_robot_ros.model.compile import MODULES
 
-from .linking import EntryCompiler, LawCompiler, PartCompiler, record_type
+from .linking import EntryCompiler, PartCompiler, record_type
 
 jit: Any = partial(njit, error_model='numpy', nogil=True, no_cfunc_wrapper=True)
 part: Any = partial(jit, no_cpython_wrapper=True, pipeline_class=PartCompiler)
 compiled = part()
-lawful = part(pipeline_class=LawCompiler, fastmath={'contract'})
 inlined = part(forceinline=True)
 # with fused multiply-add: where no difference of equal products has to be exactly zero
 fused = part(forceinline=True, fastmath={'contract'})

@@ -11,7 +11,6 @@ kernel that was the larger part. A record is one: its fields lie in memory, an a
 """
 
 import copy
-import operator
 from typing import Any
 
 from numba.core import cgutils, types
@@ -21,15 +20,7 @@ from numba.core.datamodel import models
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, register_model
 
-NUMBERS = (types.Float, types.Integer, types.Boolean, types.CPointer)
 _RECORDS: dict[str, Any] = {}  # of every type of record: its fields, and their types by name
-_RESOLVED: dict[Any, Any] = {}  # signatures of operators on numbers, and of their places in memory
-
-
-def _is_operator(function):
-    """Tell whether a function is one of Python's operators, or `bool`."""
-    own = getattr(function, 'typing_key', function)
-    return own is bool or getattr(operator, getattr(own, '__name__', ''), None) is own
 
 
 class PartLibrary(JITCodeLibrary):
@@ -90,46 +81,10 @@ def _gather(library, libraries):
     libraries[library] = None
 
 
-# Passes of numba for language features that no function of the kernel uses: closures, contexts,
-# exceptions, loops over literals, expressions of arrays. (A law of a user may have them.)
-EXCLUDED = frozenset(
-    (
-        'WithLifting',
-        'InlineClosureLikes',
-        'RewriteSemanticConstants',
-        'RewriteDynamicRaises',
-        'MakeFunctionToJitFunction',
-        'InlineInlinables',
-        'FindLiterallyCalls',
-        'LiteralUnroll',
-        'LiteralPropagationSubPipelinePass',
-        'InlineOverloads',
-        'NopythonRewrites',
-    )
-)
-
-
-def _remembering(context):
-    """Return numba's typing context as it is, which resolves an operator on numbers only once."""
-    own, resolved = copy.copy(context), _RESOLVED
-
-    def resolve(function, args, kws):
-        if kws or not all(type(kind) in NUMBERS for kind in args) or not _is_operator(function):
-            return context.resolve_function_type(function, args, kws)
-        key = function, args
-        if key not in resolved:
-            resolved[key] = context.resolve_function_type(function, args, kws)
-        return resolved[key]
-
-    own.resolve_function_type = resolve
-    return own
-
-
 class PartCompiler(Compiler):
     """Translates a function that only compiled functions call."""
 
     library: type[JITCodeLibrary] = PartLibrary
-    excluded = EXCLUDED
 
     def define_pipelines(self):
         """Set the library of the code before numba creates one of its own."""
@@ -138,20 +93,7 @@ class PartCompiler(Compiler):
             codegen = state.targetctx.codegen()
             state.library = self.library(codegen, state.func_id.func_qualname)
             state.library.enable_object_caching()
-            state.typingctx = _remembering(state.typingctx)
-        managers = super().define_pipelines()
-        for manager in managers:
-            manager._ENFORCING = False  # the passes themselves leave all in order
-            manager.passes = [
-                one for one in manager.passes if one[0].__name__ not in self.excluded
-            ]
-        return managers
-
-
-class LawCompiler(PartCompiler):
-    """Translates a law of an effect, with all of Python that numba supports."""
-
-    excluded = frozenset[str]()
+        return super().define_pipelines()
 
 
 class EntryCompiler(PartCompiler):
