@@ -179,16 +179,11 @@ class Rows(NamedTuple):
         Of equal ones that of the least sum, then of the least numbers, so that the order in which
         they came does not matter.
         """
-        order = np.argsort(self.where, kind='stable')
+        tensions = self.best[:, :inputs]
+        keys = (*self.best.T[::-1], tensions.sum(axis=1), tensions.max(axis=1), self.where)
+        order = np.lexsort(keys)
         first = np.flatnonzero(np.diff(self.where[order], prepend=-1))
         visible = np.bitwise_or.reduceat(self.seen[order], first)
-        tensions = self.best[:, :inputs]
-        for key in (tensions.max(axis=1), tensions.sum(axis=1)):
-            lowest = np.minimum.reduceat(key[order], first)
-            order = order[key[order] == np.repeat(lowest, np.diff(first, append=len(order)))]
-            first = np.flatnonzero(np.diff(self.where[order], prepend=-1))
-        if len(order) > len(first):  # some are alike in both
-            order = order[np.lexsort((*self.best[order].T[::-1], self.where[order]))]
         kept = order[first]
         return Rows(self.where[kept], visible, self.best[kept])
 
