@@ -12,12 +12,9 @@ import math
 
 import numpy as np
 
-from . import stages
+from . import layout, stages
 from .cells import half_turns, unknowns
 from .layout import (
-    DIFFERENCE_STEP,
-    LEAST_TENSION_N,
-    SAME_SIGN,
     address,
     assign,
     chain_at,
@@ -36,15 +33,15 @@ from .linearisation import TRAVEL_STEP
 from .shape import place, remember, remember_bends, wire_pulls, work_in, workspace
 from .sweep import is_implicit
 
-AHEAD_RAD = DIFFERENCE_STEP  # [rad] step of a state that shows to which side eyelets slide
+AHEAD_RAD = layout.DIFFERENCE_STEP  # [rad] step of a state that shows to which side eyelets slide
 
 
 @compiled
 def span(tension):
     """Begin and width [N] of a difference by a tension: beyond zero, where laws may jump."""
-    if tension < LEAST_TENSION_N:
-        return tension + LEAST_TENSION_N, LEAST_TENSION_N
-    return tension - LEAST_TENSION_N, 2.0 * LEAST_TENSION_N
+    if tension < layout.LEAST_TENSION_N:
+        return tension + layout.LEAST_TENSION_N, layout.LEAST_TENSION_N
+    return tension - layout.LEAST_TENSION_N, 2.0 * layout.LEAST_TENSION_N
 
 
 @compiled
@@ -98,7 +95,7 @@ def input_response(chain, inputs, bend, work, past, rows, central):
         sweep_or_residual(chain, inputs, bend, work, past, address(low))
     for j in range(m):
         was = tension[j]
-        begin, width = span(was) if central else (was, LEAST_TENSION_N)
+        begin, width = span(was) if central else (was, layout.LEAST_TENSION_N)
         tension[j] = begin + width
         sweep_or_residual(chain, inputs, bend, work, past, address(filled) + 8 * size * j)
         if central:
@@ -147,7 +144,7 @@ def tip_slopes(chain, inputs, solver, target, directions, f, slopes):
     bend, near = floats(solver.bend), floats(solver.near)
     up, down = np.empty(6), np.empty(6)
     for j in range(directions.shape[0]):
-        step = DIFFERENCE_STEP / max(largest(directions[j]), DIFFERENCE_STEP)
+        step = layout.DIFFERENCE_STEP / max(largest(directions[j]), layout.DIFFERENCE_STEP)
         for side in range(2):
             h = step if side == 0 else -step
             for q in range(unknowns(chain)):
@@ -183,16 +180,16 @@ def pull_rates(chain, inputs, solver, state_slopes, slopes):
     pulls = input_pulls(chain, inputs, bend, solver)
     for j in range(m):
         for r in range(m):
-            slopes[r, j] = -pulls[r] / LEAST_TENSION_N
+            slopes[r, j] = -pulls[r] / layout.LEAST_TENSION_N
     for j in range(m):
         was = floats(inputs)[j]
-        floats(inputs)[j] += LEAST_TENSION_N
+        floats(inputs)[j] += layout.LEAST_TENSION_N
         for q in range(unknowns(chain)):
-            floats(solver.near)[q] = floats(bend)[q] + LEAST_TENSION_N * state_slopes[j, q]
+            floats(solver.near)[q] = floats(bend)[q] + layout.LEAST_TENSION_N * state_slopes[j, q]
         pulls = input_pulls(chain, inputs, solver.near, solver)
         floats(inputs)[j] = was
         for r in range(m):
-            slopes[r, j] += pulls[r] / LEAST_TENSION_N
+            slopes[r, j] += pulls[r] / layout.LEAST_TENSION_N
 
 
 @entry()
@@ -249,7 +246,7 @@ def take_sides(robot, inputs, bends, step, past, scratch):
             motion = floats(ahead.travel)[at] - floats(present.travel)[at]
             since = slid if abs(slid) > 2.0 * aside else 0.0  # else it was offset, or rests
             side = math.copysign(1.0, scale * since + motion)
-            rests = abs(floats(present.sign)[at] - floats(then.sign)[at]) < SAME_SIGN
+            rests = abs(floats(present.sign)[at] - floats(then.sign)[at]) < layout.SAME_SIGN
             if rests and slid * side < 0.5 * aside:
                 floats(then.travel)[at] = floats(present.travel)[at] - aside * side
                 changed += 1

@@ -14,22 +14,10 @@ from collections import namedtuple
 
 import numpy as np
 
+from . import layout, stages
 from . import linearisation as part
-from . import stages
 from .cells import coordinates
-from .layout import (
-    NONE,
-    ZERO,
-    add_row,
-    address,
-    compiled,
-    entry,
-    floats,
-    inlined,
-    keep,
-    solve_rows,
-    words,
-)
+from .layout import add_row, address, compiled, entry, floats, inlined, keep, solve_rows, words
 from .linearisation import differentiate, pushed_part, tangent_of, tangent_width, tendon_part
 from .loads import loaded
 
@@ -103,7 +91,7 @@ def pass_tensions(chain, system, i, row, s):
     and by_own say how much there is.
     """
     kt, width, tendon = system.kt, system.width, words(chain.tendon)
-    active, count = words(system.active), ZERO
+    active, count = words(system.active), layout.ZERO
     for k in range(kt):
         change = floats(system.tensions + 8 * width * (kt * i + k))
         direct = floats(system.direct + 24 * k)
@@ -151,7 +139,7 @@ def slide_together(system, i, row, s, count):
                 matrix[count * p + q] = (1.0 if p == q else 0.0) - factor
                 q += 1
             elif factor != 0.0:
-                add_row(at, factor, changes + 8 * width * other, ZERO, width)
+                add_row(at, factor, changes + 8 * width * other, layout.ZERO, width)
                 for a in range(own):
                     side[width + a] += factor * all_direct[3 * other + a]
     solved = solve_rows(system.matrix, system.side, count, width + own)
@@ -212,7 +200,7 @@ def gather_cell(chain, system, i, row, s):
                 factor += residual[part.BY_TORQUE + m] * floats(s)[width * (kt + m) + k]
             for b in range(size):
                 pivot[3 * a + b] += factor * floats(system.direct)[3 * k + b]
-            add_row(bends + 8 * width * a, -factor, changes + 8 * width * k, ZERO, width)
+            add_row(bends + 8 * width * a, -factor, changes + 8 * width * k, layout.ZERO, width)
     for a in range(size):
         residual = floats(row + 8 * part.ACROSS * a)
         for m in range(loads):
@@ -264,7 +252,7 @@ def complete_tensions(chain, system, i):
                 factor = floats(system.direct)[3 * k + a]
                 if factor != 0.0:
                     at = system.tensions + 8 * width * (kt * i + k)
-                    add_row(at, factor, bends + 8 * width * a, ZERO, width)
+                    add_row(at, factor, bends + 8 * width * a, layout.ZERO, width)
 
 
 @compiled
@@ -276,13 +264,12 @@ def answer_row(system, i, r, s, extra, out):
         next_answers[j] = answers[j] if j >= frame else 0.0
     for a in range(size):
         factor = floats(system.by_own)[3 * r + a] + extra[a]
-        add_row(
-            out + 8 * width * r, factor, system.bends + 8 * width * (size * i + a), ZERO, width
-        )
+        bends = system.bends + 8 * width * (size * i + a)
+        add_row(out + 8 * width * r, factor, bends, layout.ZERO, width)
     for k in range(kt):
         if answers[k] != 0.0:
             at = system.tensions + 8 * width * (kt * i + k)
-            add_row(out + 8 * width * r, answers[k], at, ZERO, width)
+            add_row(out + 8 * width * r, answers[k], at, layout.ZERO, width)
 
 
 @compiled
@@ -315,7 +302,7 @@ def answer(chain, system, i, row, s, out):
         for a in range(3):
             factor = pushed_part(chain, row)[part.TORQUE_BY_FORCE + 3 * a + m]
             source = out + 8 * width * (kt + 3 + m)
-            add_row(out + 8 * width * (kt + a), factor, source, ZERO, width)
+            add_row(out + 8 * width * (kt + a), factor, source, layout.ZERO, width)
 
 
 @compiled
@@ -478,16 +465,16 @@ def respond(chain, bend, rates, count, work, past, answers, pulls):
                 at = 2 * i + a if a < 2 else 2 * chain.n + i
                 floats(system.bends)[width * (size * i + a) + right + q] = -rate[at]
     first, pivot = eliminate(chain, system, derivatives)
-    start = (0.0, 0.0, 0.0)
+    start, none = (0.0, 0.0, 0.0), layout.NONE
     for q in range(count):
         answer_at = answers + 8 * size * chain.n * q
-        substitute(chain, system, derivatives, right + q, NONE, NONE, start, answer_at)
+        substitute(chain, system, derivatives, right + q, none, none, start, answer_at)
     if count == 0 and answers != 0 and first >= 0:
         yields = yielding_to(chain, pivot, answers)
-        substitute(chain, system, derivatives, NONE, NONE, first, yields, answers)
+        substitute(chain, system, derivatives, none, none, first, yields, answers)
     if pulls != 0:
         for k in range(system.kt):
             follows = pulls + 8 * size * chain.n * k
-            substitute(chain, system, derivatives, NONE, k, NONE, start, follows)
+            substitute(chain, system, derivatives, none, k, none, start, follows)
     keep(tangent, memory)
     return first

@@ -19,7 +19,7 @@ import math
 
 import numpy as np
 
-from . import stages
+from . import layout, stages
 from .cells import (
     bend_cell,
     cell_stiffness,
@@ -32,25 +32,6 @@ from .cells import (
 )
 from .geometry import shaped_travel
 from .layout import (
-    BEND_TOLERANCE,
-    CLEAR_TRAVEL,
-    DIFFERENCE_STEP,
-    EPSILON,
-    EVERY_METHOD,
-    LENGTH,
-    LINEAR_STEP_RAD,
-    LOAD_SCALE,
-    NO,
-    SETTLED_RAD,
-    SHAPED,
-    SLIPPING_FROM,
-    SMOOTHING,
-    SMOOTHING_LENGTH,
-    STABLE,
-    STEPS_MAX,
-    TINY,
-    WIDE_SMOOTHING,
-    YES,
     address,
     assign,
     cell,
@@ -113,9 +94,9 @@ def is_planar(chain, x):
 @compiled
 def sweep_unshaped(chain, inputs, x, work, past):
     """Fill a state x with the one that there is without the effects of shape."""
-    floats(work.settings)[SHAPED] = 0.0
+    floats(work.settings)[layout.SHAPED] = 0.0
     chain.step(chain, inputs, address(x), work, past, address(x))
-    floats(work.settings)[SHAPED] = 1.0
+    floats(work.settings)[layout.SHAPED] = 1.0
 
 
 @compiled
@@ -140,7 +121,7 @@ def repeat_sweeps(chain, inputs, x, work, past):
         for j in range(size):
             f[j] = swept[j] - x[j]
         change = largest(f)
-        if change < BEND_TOLERANCE:
+        if change < layout.BEND_TOLERANCE:
             assign(x, swept)
             return change
         slow = (count == 4 and change > 3e-2 * first) or (count == 9 and change > 1e-2 * first)
@@ -161,7 +142,7 @@ def repeat_sweeps(chain, inputs, x, work, past):
         for p in range(used):
             for q in range(used):
                 factor[p, q] = gram[p, q]
-            factor[p, p] = gram[p, p] * (1.0 + 50.0 * EPSILON) + TINY
+            factor[p, p] = gram[p, p] * (1.0 + 50.0 * layout.EPSILON) + layout.TINY
             weights[p] = dot(changes[p], f)
         solve_small(factor, weights, used)
         for j in range(size):
@@ -176,16 +157,16 @@ def twist_residual(chain, work, i, x, y, twist):
     """Residual [rad] of the twist of cell i, bent by (x, y), whose tensions are known."""
     s, c = floats(work.half)[2 * i], floats(work.half)[2 * i + 1]
     shaped_travel(chain, i, x, y, s, c, twist, stages.offset_scale(1.0, chain, 0), work)
-    return twist - twist_of(chain, i, axial_moment_on(chain, work, i, NO))
+    return twist - twist_of(chain, i, axial_moment_on(chain, work, i, layout.NO))
 
 
 @compiled
 def solve_twist(chain, work, state, i, x, y):
     """Newton on the twist of cell i, kept in the state; fills its moment arms."""
-    twists, h = floats(state + 16 * chain.n), DIFFERENCE_STEP
+    twists, h = floats(state + 16 * chain.n), layout.DIFFERENCE_STEP
     f = twist_residual(chain, work, i, x, y, twists[i])
     for _ in range(KINKED_STEPS_MAX):
-        if abs(f) < BEND_TOLERANCE:
+        if abs(f) < layout.BEND_TOLERANCE:
             break
         twists[i] -= f * h / (twist_residual(chain, work, i, x, y, twists[i] + h) - f)
         f = twist_residual(chain, work, i, x, y, twists[i])
@@ -211,12 +192,12 @@ def cell_residual(chain, work, past, state, i, last_x, last_y, x, y):
         shaped_travel(chain, i, x, y, half[2 * i], half[2 * i + 1], twist, scale, work)
     moment_arms, factor = moment_arms_of(chain, work)
     if i > 0:
-        flags, rate, j = active_stages(chain, YES), slip_rate_in(work), i - 1
+        flags, rate, j = active_stages(chain, layout.YES), slip_rate_in(work), i - 1
         passed = ratio_at(chain, work, j, last_x, last_y, x - last_x, y - last_y, flags)
         pass_eyelet(chain, work, past, j, last_x, last_y, passed, rate, moment_arms, scale, flags)
     if stages.torsion_acts(chain):
         solve_twist(chain, work, state, i, x, y)
-    mx, my, total = moment_on(chain, work, i, moment_arms, factor, NO)
+    mx, my, total = moment_on(chain, work, i, moment_arms, factor, layout.NO)
     bx, by = bend_cell(chain, past, i, mx, my, total)
     return x - bx, y - by
 
@@ -233,21 +214,21 @@ def march(chain, inputs, bend, work, past):
     """
     moment_arms, _ = moment_arms_of(chain, work)
     f, last_x, last_y, x = np.empty(unknowns(chain)), 0.0, 0.0, floats(bend)
-    h = DIFFERENCE_STEP
+    h = layout.DIFFERENCE_STEP
     base_tensions(chain, inputs, work, moment_arms)
     for i in range(chain.n):
         known, (bx, by) = (chain, work, past, bend, i, last_x, last_y), (x[2 * i], x[2 * i + 1])
         fx, fy = cell_residual(*known, bx, by)
         for _ in range(KINKED_STEPS_MAX):
             best = abs(fx) + abs(fy)
-            if best < BEND_TOLERANCE:
+            if best < layout.BEND_TOLERANCE:
                 break
             ax, ay = cell_residual(*known, bx + h, by)
             cx, cy = cell_residual(*known, bx, by + h)
             a, b, c, d = (ax - fx) / h, (cx - fx) / h, (ay - fy) / h, (cy - fy) / h
             over = 1.0 / (a * d - b * c)
             dx, dy = over * (d * fx - b * fy), over * (a * fy - c * fx)
-            for _ in range(STEPS_MAX):
+            for _ in range(layout.STEPS_MAX):
                 gx, gy = cell_residual(*known, bx - dx, by - dy)
                 if abs(gx) + abs(gy) < best:
                     break
@@ -264,10 +245,10 @@ def march(chain, inputs, bend, work, past):
 def next_travel(z, travel, width, new_width):
     """Travel [m] that an eyelet takes over, from its last one and what the step says it is."""
     s = math.copysign(1.0, z)
-    if abs(z) <= CLEAR_TRAVEL * width:
+    if abs(z) <= layout.CLEAR_TRAVEL * width:
         s = math.tanh(z / width)
         s += (1.0 - s * s) * (travel - z) / width
-        if abs(s) < SLIPPING_FROM:
+        if abs(s) < layout.SLIPPING_FROM:
             return new_width * math.atanh(s)
     if s * travel <= 0.0:
         return 0.0
@@ -296,8 +277,8 @@ def take_over(chain, bend, work, move, own, width, longest, shrink):
 
     """
     new_width = width
-    if longest < LINEAR_STEP_RAD:
-        new_width = max(shrink * width, SMOOTHING_LENGTH)
+    if longest < layout.LINEAR_STEP_RAD:
+        new_width = max(shrink * width, layout.SMOOTHING_LENGTH)
     tendon, (moment_arms, scale) = words(chain.tendon), moment_arms_of(chain, work)
     lever, twists = floats(moment_arms), stages.torsion_acts(chain)
     for k in range(chain.k):
@@ -335,7 +316,7 @@ def own_travel(chain, bend, work):
 @compiled
 def end_sliding(chain, work):
     """Let friction follow the travel of the bends again, with its own smoothing length."""
-    floats(work.settings)[SMOOTHING] = SMOOTHING_LENGTH
+    floats(work.settings)[layout.SMOOTHING] = layout.SMOOTHING_LENGTH
     for j in range(2 * chain.n * chain.k):
         floats(work.lag)[j] = 0.0
 
@@ -369,20 +350,21 @@ def solve_sliding(chain, inputs, x, work, past, wide, shrink, steps_max):
     """
     size = x.shape[0]
     f, move = np.empty(size), np.empty(size)
-    own, width, longest = own_travel(chain, address(x), work), wide * SMOOTHING_LENGTH, math.inf
+    own, longest = own_travel(chain, address(x), work), math.inf
+    width = wide * layout.SMOOTHING_LENGTH
     for _ in range(steps_max):
-        floats(work.settings)[SMOOTHING] = width
+        floats(work.settings)[layout.SMOOTHING] = width
         exchange(chain, work, own)
         chain.balance(chain, inputs, address(x), work, past, address(f))
         chain.respond(chain, address(x), address(f), 1, work, past, address(move), 0)
         longest = largest(move)
         if not longest < math.inf:
             break
-        fraction = min(1.0, STEP_MAX_RAD / max(longest, TINY))
+        fraction = min(1.0, STEP_MAX_RAD / max(longest, layout.TINY))
         for j in range(size):
             move[j] *= fraction
             x[j] += move[j]
-        if longest < STEP_NEAR_RAD and width == SMOOTHING_LENGTH:
+        if longest < STEP_NEAR_RAD and width == layout.SMOOTHING_LENGTH:
             break
         width = take_over(chain, address(x), work, move, own, width, longest, shrink)
     end_sliding(chain, work)
@@ -411,14 +393,14 @@ def solve_sticking(chain, inputs, x, bend, work, past, cold):
     change = math.inf
     restart(chain, inputs, x, bend, work, past, cold)
     if not cold:
-        change = solve_sliding(chain, inputs, x, work, past, 1.0, 1.0, STEPS_MAX)
+        change = solve_sliding(chain, inputs, x, work, past, 1.0, 1.0, layout.STEPS_MAX)
     for shrink in SHRINK_FACTORS:
-        quick = floats(work.settings)[EVERY_METHOD] == 0.0 and shrink != SHRINK_FACTORS[0]
-        if change < BEND_TOLERANCE or quick:
+        quick = floats(work.settings)[layout.EVERY_METHOD] == 0.0 and shrink != SHRINK_FACTORS[0]
+        if change < layout.BEND_TOLERANCE or quick:
             break
         sweep_unshaped(chain, inputs, x, work, past)
         change = solve_sliding(
-            chain, inputs, x, work, past, WIDE_SMOOTHING, shrink, KINKED_STEPS_MAX
+            chain, inputs, x, work, past, layout.WIDE_SMOOTHING, shrink, KINKED_STEPS_MAX
         )
     return change
 
@@ -438,20 +420,20 @@ def newton(chain, inputs, bend, work, past):
     f, trial_f = np.empty(size), np.empty(size)
     trial, move = np.empty(size), np.empty(size)
     change = residual_size(chain, inputs, bend, work, past, f)
-    for _ in range(STEPS_MAX):
-        if change < BEND_TOLERANCE or change == math.inf:
+    for _ in range(layout.STEPS_MAX):
+        if change < layout.BEND_TOLERANCE or change == math.inf:
             break
         chain.respond(chain, bend, address(f), 1, work, past, address(move), 0)
         longest, better = largest(move), False
         if not longest < math.inf:
             break
-        before, fraction = dot(f, f), min(1.0, STEP_MAX_RAD / max(longest, TINY))
-        for _ in range(STEPS_MAX):
+        before, fraction = dot(f, f), min(1.0, STEP_MAX_RAD / max(longest, layout.TINY))
+        for _ in range(layout.STEPS_MAX):
             for j in range(size):
                 trial[j] = x[j] + fraction * move[j]
             new = residual_size(chain, inputs, address(trial), work, past, trial_f)
             better = dot(trial_f, trial_f) < (1.0 - 1e-4 * fraction) * before
-            better = better or new < BEND_TOLERANCE
+            better = better or new < layout.BEND_TOLERANCE
             if better:
                 break
             fraction *= 0.5
@@ -470,17 +452,17 @@ def continuation(chain, inputs, x, work, past):
     progress, stride, change = 0.0, 0.25, math.inf
     while progress < 1.0 and stride > STRIDE_MIN:
         aim = min(1.0, progress + stride)
-        settings[SMOOTHING] = SMOOTHING_LENGTH * WIDE_SMOOTHING ** (1.0 - aim)
-        settings[LOAD_SCALE] = aim
+        settings[layout.SMOOTHING] = layout.SMOOTHING_LENGTH * layout.WIDE_SMOOTHING ** (1.0 - aim)
+        settings[layout.LOAD_SCALE] = aim
         assign(x, last)
         change = chain.newton(chain, inputs, address(x), work, past)
-        if change < BEND_TOLERANCE:
+        if change < layout.BEND_TOLERANCE:
             progress, stride = aim, min(0.5, 1.6 * stride)
             assign(last, x)
         else:
             stride *= 0.4
-    settings[SMOOTHING], settings[LOAD_SCALE] = SMOOTHING_LENGTH, 1.0
-    return change if progress == 1.0 else max(change, 10.0 * BEND_TOLERANCE)
+    settings[layout.SMOOTHING], settings[layout.LOAD_SCALE] = layout.SMOOTHING_LENGTH, 1.0
+    return change if progress == 1.0 else max(change, 10.0 * layout.BEND_TOLERANCE)
 
 
 @compiled
@@ -497,7 +479,7 @@ def load_ratio(chain, work):
     for i in range(chain.n):
         for x, y, z in (weight(chain, i), pushed(chain, work, i)[0]):
             force += math.sqrt(x * x + y * y + z * z)
-        reach = cell(chain, i, LENGTH)
+        reach = cell(chain, i, layout.LENGTH)
         rigidity = min(rigidity, reach * cell_stiffness(chain, i))
         total += reach
     return force * total * total * 4.0 / (math.pi * math.pi * rigidity)
@@ -523,12 +505,12 @@ def descend(chain, inputs, bend, work, past, ratio):
         x[j] = push * down[j]
     for _ in range(DESCENT_STEPS_MAX):
         change = residual_size(chain, inputs, address(x), work, past, f)
-        if change < SETTLED_RAD or change == math.inf:
+        if change < layout.SETTLED_RAD or change == math.inf:
             break
         for j in range(size):
             x[j] -= f[j] / (1.0 + ratio)
     change = chain.newton(chain, inputs, address(x), work, past)
-    if change < BEND_TOLERANCE:
+    if change < layout.BEND_TOLERANCE:
         copy(address(x), bend, size)
     keep(x)
 
@@ -544,7 +526,7 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     size, remembers = unknowns(chain), stages.memory_acts(chain)
     friction = stages.eyelet_acts(chain)
     slides = friction and stages.friction_travel_acts(chain)
-    x = np.empty(size)
+    x, settings = np.empty(size), floats(work.settings)
     copy(bend, address(x), size)
     cold = largest(x) == 0.0 and not remembers
     if cold:
@@ -552,20 +534,20 @@ def solve_equilibrium(chain, inputs, work, past, bend):
     swept, change = False, math.inf
     if remembers or not friction or is_planar(chain, x):
         change = repeat_sweeps(chain, inputs, x, work, past)
-        swept = change < BEND_TOLERANCE
+        swept = change < layout.BEND_TOLERANCE
     if not swept and slides and not remembers:
         change = solve_sticking(chain, inputs, x, bend, work, past, cold)
     elif not swept:
         restart(chain, inputs, x, bend, work, past, cold)
         if not (loaded(chain) or slides):
             change = chain.march(chain, inputs, address(x), work, past)
-            if not change < BEND_TOLERANCE:
+            if not change < layout.BEND_TOLERANCE:
                 restart(chain, inputs, x, bend, work, past, cold)
-        if not change < BEND_TOLERANCE:
+        if not change < layout.BEND_TOLERANCE:
             change = chain.newton(chain, inputs, address(x), work, past)
-    if not change < BEND_TOLERANCE and floats(work.settings)[EVERY_METHOD] != 0.0:
+    if not change < layout.BEND_TOLERANCE and settings[layout.EVERY_METHOD] != 0.0:
         change = continuation(chain, inputs, x, work, past)
-    if change < BEND_TOLERANCE and floats(work.settings)[STABLE] != 0.0 and loaded(chain):
+    if change < layout.BEND_TOLERANCE and settings[layout.STABLE] != 0.0 and loaded(chain):
         ratio = load_ratio(chain, work)
         if ratio > SAFE_LOAD:
             chain.descend(chain, inputs, address(x), work, past, ratio)

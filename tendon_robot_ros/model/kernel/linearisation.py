@@ -10,7 +10,7 @@ laws are differentiated as they stand, by central differences of scalars.
 import math
 from itertools import accumulate
 
-from . import stages
+from . import layout, stages
 from .cells import (
     arc_factor,
     axial_moment,
@@ -27,22 +27,7 @@ from .cells import (
     twist_of,
 )
 from .geometry import add_moments, leaning_tendon, straight_tendon
-from .layout import (
-    DIFFERENCE_STEP,
-    HINGE,
-    LENGTH,
-    LOAD_SCALE,
-    SAME_SIGN,
-    SLIPPING_FROM,
-    TINY,
-    YES,
-    cell,
-    compiled,
-    entry,
-    floats,
-    inlined,
-    words,
-)
+from .layout import cell, compiled, entry, floats, inlined, words
 from .loads import (
     NO_LOAD,
     along_middle,
@@ -152,7 +137,7 @@ def loaded_cell(chain, work, i, x, y, loads, bow, general):
     s, c = half_turn(x * x + y * y)
     reach, (force, torque, own) = floats(work.lengths)[i], loads
     mx, my, middle, over = cell_moment(chain, i, x, y, s, c, loads, reach, bow, general)
-    across, along = end_of(x * x + y * y, s, c, reach, cell(chain, i, HINGE))
+    across, along = end_of(x * x + y * y, s, c, reach, cell(chain, i, layout.HINGE))
     end, about = plus((across * x, across * y, along), over), 0.0
     if general:
         start = plus(torque, plus(cross(end, force), cross(middle, own)))
@@ -180,11 +165,11 @@ def load_slopes(chain, bend, work, i, tangent, total):
     Of the derivatives of the cell, OWN, BY_ROTATION, BY_TORQUE and BY_TENSION take those of the
     moment, before they meet the compliance; what tendons say is added to in OWN.
     """
-    row, general, h = floats(tangent), is_general(chain), DIFFERENCE_STEP
+    row, general, h = floats(tangent), is_general(chain), layout.DIFFERENCE_STEP
     x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
     f, wrench = bending_frame(chain, bend, work, i, general), floats(work.wrench + 48 * i)
     force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
-    own = scaled(floats(work.settings)[LOAD_SCALE], weight(chain, i))
+    own = scaled(floats(work.settings)[layout.LOAD_SCALE], weight(chain, i))
     loads, bow = (local(f, force), local(f, torque), local(f, own)), bow_compliance(chain, work, i)
     for a in range(2):
         dx, dy = (h, 0.0) if a == 0 else (0.0, h)
@@ -216,13 +201,14 @@ def load_slopes(chain, bend, work, i, tangent, total):
 def push_slopes(chain, bend, work, i, tangent):
     """Fill what a push on the ends of the cells adds to the derivatives of cell i."""
     row, more = floats(tangent), pushed_part(chain, tangent)
-    general, h = is_general(chain), DIFFERENCE_STEP
-    x, y, scale = floats(bend)[2 * i], floats(bend)[2 * i + 1], floats(work.settings)[LOAD_SCALE]
+    general, h = is_general(chain), layout.DIFFERENCE_STEP
+    x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
+    scale = floats(work.settings)[layout.LOAD_SCALE]
     f, wrench = bending_frame(chain, bend, work, i, general), floats(work.wrench + 48 * i)
     force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
     own, bow = local(f, scaled(scale, weight(chain, i))), bow_compliance(chain, work, i)
     torque = local(f, torque)
-    (place, frame), reach = end_at(work, i), cell(chain, i, LENGTH)
+    (place, frame), reach = end_at(work, i), cell(chain, i, layout.LENGTH)
     unloaded = (NO_LOAD, NO_LOAD, NO_LOAD)
     _, end, _ = loaded_cell(chain, work, i, x, y, unloaded, 0.0, general)
     whole = turned(f, end)
@@ -328,20 +314,20 @@ def rotation_slopes(chain, f, work, i, x, y, beyond, bow, row, general):
 @compiled
 def compression_slopes(chain, bend, work, i, total, tangent):
     """Fill the derivatives of the loads' moment and of the torque at the start by tensions."""
-    h = DIFFERENCE_STEP * (1.0 + total)
+    h = layout.DIFFERENCE_STEP * (1.0 + total)
     rate = stages.length(1.0, total + h, chain, i)
     rate -= stages.length(1.0, total - h, chain, i)
     rate /= 2.0 * h * stages.length(1.0, total, chain, i)
     if stages.push_acts(chain):
         pushed_part(chain, tangent)[GROWS] = rate
     x, y = floats(bend)[2 * i], floats(bend)[2 * i + 1]
-    f, wrench = bending_frame(chain, bend, work, i, YES), floats(work.wrench + 48 * i)
+    f, wrench = bending_frame(chain, bend, work, i, layout.YES), floats(work.wrench + 48 * i)
     force = (wrench[0], wrench[1], wrench[2])
-    own = scaled(floats(work.settings)[LOAD_SCALE], weight(chain, i))
+    own = scaled(floats(work.settings)[layout.LOAD_SCALE], weight(chain, i))
     loads, lengths = (local(f, force), NO_LOAD, local(f, own)), floats(work.lengths)
-    m, end, middle = loaded_cell(chain, work, i, x, y, loads, 0.0, YES)
+    m, end, middle = loaded_cell(chain, work, i, x, y, loads, 0.0, layout.YES)
     reach, lengths[i] = lengths[i], 0.0  # a weight beside the axis stays where it is
-    rest, _, beside = loaded_cell(chain, work, i, x, y, loads, 0.0, YES)
+    rest, _, beside = loaded_cell(chain, work, i, x, y, loads, 0.0, layout.YES)
     lengths[i] = reach
     m, middle = plus(m, scaled(-1.0, rest)), plus(middle, scaled(-1.0, beside))
     pull = plus(cross(turned(f, end), force), cross(turned(f, middle), own))
@@ -378,7 +364,7 @@ def bend_slope(chain, past, i, moment, toward, x, y):
         width = zoom
         uneven = abs(ax + bx - 2.0 * x) + abs(ay + by - 2.0 * y)
         # curvature makes 1e-3, a kink 1
-        if not uneven > SAME_SIGN * (abs(ax - bx) + abs(ay - by)):
+        if not uneven > layout.SAME_SIGN * (abs(ax - bx) + abs(ay - by)):
             break
     return (ax - bx) / width, (ay - by) / width
 
@@ -389,7 +375,8 @@ def compliances(chain, past, i, mx, my, total):
     stiffness = cell_stiffness(chain, i)
     if is_linear(chain):
         return 1.0 / stiffness, 0.0, 0.0, 1.0 / stiffness, 0.0, 0.0
-    h, ht, moment = DIFFERENCE_STEP * stiffness, DIFFERENCE_STEP * (1.0 + total), (mx, my, total)
+    h, ht = layout.DIFFERENCE_STEP * stiffness, layout.DIFFERENCE_STEP * (1.0 + total)
+    moment = (mx, my, total)
     x, y = bend_cell(chain, past, i, mx, my, total)
     a, b = bend_slope(chain, past, i, moment, (h, 0.0, 0.0), x, y)
     c, d = bend_slope(chain, past, i, moment, (0.0, h, 0.0), x, y)
@@ -405,7 +392,7 @@ def moment_slopes(chain, work, i, x, y, twist, scale, tangent, path_lost):
 
     `path_lost`: `straight_tendon`, or `leaning_tendon` where tendons may lean.
     """
-    h, tensions, row = DIFFERENCE_STEP, work.tensions + 8 * chain.k * i, floats(tangent)
+    h, tensions, row = layout.DIFFERENCE_STEP, work.tensions + 8 * chain.k * i, floats(tangent)
     for a in range(3 if leans(chain) else 2):
         dx, dy, dz = h if a == 0 else 0.0, h if a == 1 else 0.0, h if a == 2 else 0.0
         up = add_moments(chain, i, x + dx, y + dy, twist + dz, tensions, scale, path_lost)
@@ -460,10 +447,10 @@ def slip_slopes(chain, work, past, at, i, slides, remembers):
     by_slip = rate * (1.0 - s * s)
     if slides:
         t = smooth_sign(beyond, rate)
-        here, slope = travel_slopes(s, t, DIFFERENCE_STEP, chain, i)
+        here, slope = travel_slopes(s, t, layout.DIFFERENCE_STEP, chain, i)
         by_slip *= here
         # else every eyelet that slips would join the equations of those that stick
-        by_beyond = rate * (1.0 - t * t) * slope if abs(t) < SLIPPING_FROM else 0.0
+        by_beyond = rate * (1.0 - t * t) * slope if abs(t) < layout.SLIPPING_FROM else 0.0
         s = stages.friction_travel(s, t, chain, i)
     return s, by_slip, by_beyond
 
@@ -486,16 +473,16 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
     _, _, wraps, slides, remembers = flags
     bends, tendon = floats(bend), words(chain.tendon)
     # the ratio that passes, by the bend before the eyelet (ox, oy) and by that behind it (nx, ny)
-    bx, by, h = bends[2 * i], bends[2 * i + 1], DIFFERENCE_STEP
+    bx, by, h = bends[2 * i], bends[2 * i + 1], layout.DIFFERENCE_STEP
     s, c = half_turn(bx * bx + by * by)
     a = math.sqrt(bx * bx + by * by)
-    turning, slope = a * s, 0.5 * c / max(a, TINY)
+    turning, slope = a * s, 0.5 * c / max(a, layout.TINY)
     ox, oy, nx, ny = slope * bx, slope * by, 0.0, 0.0
     if wraps:  # the mean of both bends turns the tendon
         x, y = 0.5 * (bx + bends[2 * i + 2]), 0.5 * (by + bends[2 * i + 3])
         s, c = half_turn(x * x + y * y)
         a = math.sqrt(x * x + y * y)
-        mean, slope = a * s, 0.25 * c / max(a, TINY)
+        mean, slope = a * s, 0.25 * c / max(a, layout.TINY)
         up, low = turning + h, turning - h
         own = stages.wrap(up, mean, chain, i) - stages.wrap(low, mean, chain, i)
         up, low = mean + h, mean - h
@@ -510,7 +497,7 @@ def eyelet_slopes(chain, bend, work, past, i, flags, tangent):
     up, low = turning + h, max(turning - h, 0.0)
     slope = stages.eyelet(1.0, up, chain, i) - stages.eyelet(1.0, low, chain, i)
     slope /= up - low
-    log_passed = math.log(max(passed, TINY))
+    log_passed = math.log(max(passed, layout.TINY))
     before, behind = tangent_of(chain, tangent, i), tangent_of(chain, tangent, i + 1)
     for k in range(chain.k):
         if i + 1 >= tendon[2 * k]:
@@ -581,7 +568,7 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
 def fill_twist(chain, work, i, tangent, loads):
     """Fill the derivatives of the residual of the twist of cell i, from those of its moment."""
     row, about = floats(tangent), axial_moment_on(chain, work, i, loads)
-    h = DIFFERENCE_STEP * cell_stiffness(chain, i)  # [N·m]
+    h = layout.DIFFERENCE_STEP * cell_stiffness(chain, i)  # [N·m]
     yields = (twist_of(chain, i, about + h) - twist_of(chain, i, about - h)) / (2.0 * h)
     for q in range(ACROSS):
         row[2 * ACROSS + q] *= -yields
@@ -597,7 +584,7 @@ def fill_twist(chain, work, i, tangent, loads):
 def differentiate(chain, bend, work, past, tangent):
     """Fill the derivatives of all cells at bends (n, 2) whose states `work` holds."""
     moment_arms, scale = moment_arms_of(chain, work)
-    flags = active_stages(chain, YES)
+    flags = active_stages(chain, layout.YES)
     for i in range(chain.n):
         cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent_of(chain, tangent, i))
     if flags[0]:

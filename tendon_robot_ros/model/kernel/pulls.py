@@ -10,17 +10,10 @@ import math
 
 import numpy as np
 
-from . import stages
+from . import layout, stages
 from .cells import unknowns
 from .derivatives import pull_rates
 from .layout import (
-    BEND_TOLERANCE,
-    EVERY_METHOD,
-    GAP_ACCEPTED_M,
-    STABLE,
-    STEPS_MAX,
-    TINY,
-    ZERO,
     address,
     assign,
     chain_at,
@@ -107,7 +100,7 @@ def taut_step(jacobian, f, inputs, target, damping, trial):
     """Damped Newton step of the taut wires, tensions kept from below zero, into `trial`."""
     m = inputs.shape[0]
     free = np.empty(m, np.int64)
-    count = ZERO
+    count = layout.ZERO
     for j in range(m):
         trial[j] = inputs[j]
         if not math.isnan(target[j]) and (inputs[j] > 0.0 or f[j] < 0.0):
@@ -155,7 +148,7 @@ def stiff_wires(chain, inputs, target, solver, slopes, state_slopes, steps_max):
     f, moved, trial = np.empty(chain.m), np.empty(chain.m), np.empty(chain.m)
     if not pull_residuals(chain, inputs, target, solver, f, solver.bend):
         return math.inf
-    damping, settled = 1e-10, BEND_TOLERANCE * chain.n * chain.radius
+    damping, settled = 1e-10, layout.BEND_TOLERANCE * chain.n * chain.radius
     sprung = stretches(chain)  # so that slopes change little
     fresh, stale = False, not sprung or math.isnan(slopes[0, 0])
     for _ in range(steps_max):
@@ -166,7 +159,7 @@ def stiff_wires(chain, inputs, target, solver, slopes, state_slopes, steps_max):
             pull_slopes(chain, inputs, target, solver, state_slopes, slopes)
             fresh, stale = True, False
         new, before = math.inf, damping
-        for _ in range(STEPS_MAX if fresh else 1):
+        for _ in range(layout.STEPS_MAX if fresh else 1):
             taut_step(slopes, f, inputs, target, damping, trial)
             predict(chain, solver, state_slopes, inputs, trial)
             if pull_residuals(chain, trial, target, solver, moved, solver.near):
@@ -183,9 +176,9 @@ def stiff_wires(chain, inputs, target, solver, slopes, state_slopes, steps_max):
         correct(slopes, moved - f, trial - inputs)
         accept(chain, solver, trial, moved, inputs, f)
     settings = floats(solver.work.settings)
-    settings[EVERY_METHOD] = settings[STABLE] = 1.0
+    settings[layout.EVERY_METHOD] = settings[layout.STABLE] = 1.0
     found, gap = pull_residuals(chain, inputs, target, solver, f, solver.bend), 0.0
-    settings[EVERY_METHOD] = settings[STABLE] = 0.0
+    settings[layout.EVERY_METHOD] = settings[layout.STABLE] = 0.0
     for j in range(inputs.shape[0]):
         if not math.isnan(target[j]) and (inputs[j] > 0.0 or f[j] < 0.0):
             gap = max(gap, abs(f[j]))
@@ -208,7 +201,7 @@ def spring_step(slopes, f, inputs, target, stretch, move):
     """
     m = inputs.shape[0]
     taut = np.empty(m, np.int64)
-    count, top = ZERO, 0.0
+    count, top = layout.ZERO, 0.0
     for j in range(m):
         move[j] = 0.0
         gap = f[j] + stretch * inputs[j]
@@ -233,7 +226,7 @@ def spring_step(slopes, f, inputs, target, stretch, move):
     for p in range(count):
         move[taut[p]] = -step[p, 0]
         longest = max(longest, abs(step[p, 0]))
-    fraction = min(1.0, STEP_MAX * (high + STRETCH_ERROR_N) / max(longest, TINY))
+    fraction = min(1.0, STEP_MAX * (high + STRETCH_ERROR_N) / max(longest, layout.TINY))
     for p in range(count):
         move[taut[p]] *= fraction
     return top
@@ -243,7 +236,7 @@ def spring_step(slopes, f, inputs, target, stretch, move):
 def correct(slopes, change, step):
     """Let the slopes (m, m) [m/N] give the change (m,) [m] that a step (m,) [N] made (Broyden)."""
     m = step.shape[0]
-    length = TINY
+    length = layout.TINY
     for j in range(m):
         length += step[j] * step[j]
     for r in range(m):
@@ -388,7 +381,7 @@ def meet_pulls(
     solver = workspace(chain, bends, past, scratch)
     settings = floats(solver.work.settings)
     # quick methods; unstable ones are kept: lengths may hold what tensions alone do not
-    settings[EVERY_METHOD] = settings[STABLE] = 0.0
+    settings[layout.EVERY_METHOD] = settings[layout.STABLE] = 0.0
     for b in range(targets.shape[0]):
         target, own, rate = targets[b], slopes[b], rates[b]
         if b > 0 and math.isnan(own[0, 0]):
@@ -417,9 +410,9 @@ def meet_pulls(
             if stretched or always:
                 left = stiff_wires(chain, trial, target, solver, own, rate, steps)
                 gaps[b] = min(gaps[b], left)
-            if gaps[b] < GAP_ACCEPTED_M:
+            if gaps[b] < layout.GAP_ACCEPTED_M:
                 break
-        if not gaps[b] < GAP_ACCEPTED_M:
+        if not gaps[b] < layout.GAP_ACCEPTED_M:
             return b
         assign(inputs[b], trial)
         assign(states[b], bends[0])

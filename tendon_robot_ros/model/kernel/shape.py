@@ -9,25 +9,13 @@ import math
 import numpy as np
 from numba import types
 
-from . import stages
+from . import layout, stages
 from .cells import cell_stiffness, chain_frames, half_turns, moment_held, unknowns
 from .equilibrium import SAFE_LOAD, is_planar, load_ratio
 from .geometry import scale_lengths, tendon_travel, travel_beyond
 from .layout import (
-    BEND_TOLERANCE,
-    EVERY_METHOD,
     FLOAT,
-    LENGTH,
-    LINEAR_STEP_RAD,
-    LOAD_SCALE,
-    SAME_SIGN,
-    SETTLED_RAD,
-    SHAPED,
-    SMOOTHING,
-    SMOOTHING_LENGTH,
-    STABLE,
     WORD,
-    YES,
     Workspace,
     address,
     assign,
@@ -55,12 +43,12 @@ def work_in(chain, start):
     laid = words(start)
     work = work_from(start, laid[5], laid[6], laid[7])
     settings = floats(work.settings)
-    settings[SMOOTHING], settings[LOAD_SCALE] = SMOOTHING_LENGTH, 1.0
-    settings[SHAPED] = settings[EVERY_METHOD] = settings[STABLE] = 1.0
+    settings[layout.SMOOTHING], settings[layout.LOAD_SCALE] = layout.SMOOTHING_LENGTH, 1.0
+    settings[layout.SHAPED] = settings[layout.EVERY_METHOD] = settings[layout.STABLE] = 1.0
     for r in range(3):
         floats(work.frames)[4 * r] = 1.0
     for i in range(chain.n):
-        floats(work.lengths)[i] = cell(chain, i, LENGTH)
+        floats(work.lengths)[i] = cell(chain, i, layout.LENGTH)
         floats(work.compliance)[i] = 1.0 / cell_stiffness(chain, i)
     return work
 
@@ -166,7 +154,7 @@ def wire_pulls(chain, bend, work, pulls, means):
         for j in range(k):
             for i in range(tendon[2 * j]):
                 totals[j] += stages.stretch(
-                    0.0, tensions[k * i + j], cell(chain, i, LENGTH), chain, i
+                    0.0, tensions[k * i + j], cell(chain, i, layout.LENGTH), chain, i
                 )
     if stages.winding_acts(chain):
         for j in range(k):
@@ -186,7 +174,7 @@ def is_balanced(chain, inputs, solver, bend):
     change = posture(
         chain, address(inputs), solver.work, solver.past, solver.now, bend, solver.before
     )
-    return change < BEND_TOLERANCE
+    return change < layout.BEND_TOLERANCE
 
 
 @compiled
@@ -201,7 +189,7 @@ def predict(chain, solver, slopes, inputs, trial):
             move += slopes[j, q] * (trial[j] - inputs[j])
         near[q] += move
         longest = max(longest, abs(move)) if move == move else math.inf
-    if not longest < LINEAR_STEP_RAD:
+    if not longest < layout.LINEAR_STEP_RAD:
         copy(solver.bend, solver.near, size)
 
 
@@ -359,7 +347,7 @@ def remember(chain, inputs, bend, work, past, now):
             at = chain.k * i + k
             travelled = floats(work.travel)[at]
             sign[at], travel[at] = slip_direction(
-                chain, work, past, at, i, travelled, 0.0, slides, YES
+                chain, work, past, at, i, travelled, 0.0, slides, layout.YES
             )
 
 
@@ -405,11 +393,11 @@ def continue_path(chain, inputs, work, past, now, nodes, reached, bend, before, 
     if is_implicit(chain) and not (heavy or is_planar(chain, x)):
         copy(bend, before, unknowns(chain))
         change = chain.newton(chain, now.inputs, bend, work, now)
-        if not change < BEND_TOLERANCE:
+        if not change < layout.BEND_TOLERANCE:
             copy(before, bend, unknowns(chain))
-    if not change < BEND_TOLERANCE:
+    if not change < layout.BEND_TOLERANCE:
         change = settle(chain, now.inputs, work, now, bend)
-    if not change < BEND_TOLERANCE:
+    if not change < layout.BEND_TOLERANCE:
         reached[row] = 0
         return change, moved
     remember(chain, now.inputs, bend, work, now, now)
@@ -465,14 +453,15 @@ def ramped(chain, inputs, work, past, now, bend, before):
         if not known:  # else it was a half of the part before
             change, _ = continue_path(*path, at, end)
         change, _ = continue_path(*path, at, middle)
-        if change < BEND_TOLERANCE:
+        if change < layout.BEND_TOLERANCE:
             change, moved = continue_path(*path, middle, end)
-        if shortest and not change < BEND_TOLERANCE:
+        if shortest and not change < layout.BEND_TOLERANCE:
             change, _ = continue_path(*path, at, end)
-            if not change < BEND_TOLERANCE:
+            if not change < layout.BEND_TOLERANCE:
                 break
         # ten times as much would save 5 to 30 % of the time and move tips by up to 10 µm
-        same = moved < SETTLED_RAD and sign_error(chain, nodes, at, middle, end) < SAME_SIGN
+        same = moved < layout.SETTLED_RAD
+        same = same and sign_error(chain, nodes, at, middle, end) < layout.SAME_SIGN
         if shortest or same:
             at, length, known = end, end & -end, False  # the longest part that begins there
         else:
