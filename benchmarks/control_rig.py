@@ -152,7 +152,7 @@ class Rig:
     def hardly_led(self):
         """Return the direction (3,) in which the arm's tendons lead its tip least."""
         model, state = self.plant.model, self.plant._state
-        slopes = tip_slopes(model, state, state.memory)[:3]
+        slopes = tip_slopes(model, state, state.memory)[0][:3]
         return np.linalg.svd(slopes * (model.limits[:, 1] - model.limits[:, 0]))[0][:, 2]
 
     def go(self, position):

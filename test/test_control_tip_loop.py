@@ -56,7 +56,7 @@ def test_a_step_is_found_where_tendons_stick_whichever_way_they_are_pulled_a_lit
     goal = np.array(tensions)
     here = arm.follow(here, goal)
     wanted = here.tip_position + [-7e-3, 0.0, 7e-3]
-    slopes = tip_slopes(arm, here, here.memory)[:3] * width
+    slopes = tip_slopes(arm, here, here.memory)[0][:3] * width
     little = bounded_step(slopes, 0.5 * (wanted - here.tip_position), goal, arm.limits, 0.02)
     assert np.linalg.norm(arm.follow(here, little).tip_position - wanted) > 10e-3
     for _ in range(12):

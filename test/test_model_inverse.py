@@ -235,7 +235,7 @@ def test_a_target_of_a_stream_is_not_gone_to_by_newtons_of_all_tendons_against_e
     """Three tendons lead the tip hardly along one direction; the arm would be on its way long."""
     arm = Model(load_robot(ROBOTS / 'spatial_3.yaml'))
     here = arm.shape(np.array([0.3, 0.1, 0.12]))
-    hardly = np.linalg.svd(tip_slopes(arm, here, here.memory)[:3])[0][:, 2]
+    hardly = np.linalg.svd(tip_slopes(arm, here, here.memory)[0][:3])[0][:, 2]
     hardly *= np.sign(hardly @ here.tip_direction)
     for sign in (-1.0, 1.0):
         place = here.tip_position + sign * 3e-3 * hardly

@@ -7,7 +7,7 @@ import pytest
 from arms import planar, spatial, two_sections
 
 from tendon_robot_ros.common.errors import InputError
-from tendon_robot_ros.model.derivatives import take_sides, tip_and_state_slopes
+from tendon_robot_ros.model.derivatives import take_sides, tip_slopes
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.redundancy import Balance, broyden
 from tendon_robot_ros.model.tip_task import Preferences, TipTask
@@ -189,11 +189,11 @@ def test_slopes_on_the_side_to_which_eyelets_slide_are_those_of_the_way_there(ki
     model, random = arm(kind, remembers=True), np.random.default_rng(2)
     for here in stood(model, 6):
         move = random.normal(size=len(here.inputs)) * 1e-5
-        slopes, ways = tip_and_state_slopes(model, here, here.memory)
+        slopes, ways = tip_slopes(model, here, here.memory)
         past = here.memory.copy()
         assert take_sides(model, here, past, move @ ways) > 0
         for _ in range(9):  # which way they slide follows from the slopes, too
-            sided, ways = tip_and_state_slopes(model, here, past)
+            sided, ways = tip_slopes(model, here, past)
             if not take_sides(model, here, past, move @ ways):
                 break
         moved = model.follow(here, here.inputs + move).tip_position - here.tip_position
@@ -206,7 +206,7 @@ def test_eyelets_that_have_slid_take_no_side():
     model = arm('spatial', remembers=True)
     begin = model.shape(np.full(6, 1.0))
     here = model.follow(begin, begin.inputs + np.linspace(0.5, 2.0, 6))
-    past, ways = begin.memory.copy(), tip_and_state_slopes(model, here, begin.memory)[1]
+    past, ways = begin.memory.copy(), tip_slopes(model, here, begin.memory)[1]
     assert take_sides(model, here, past, np.full(6, -1e-3) @ ways) == 0
     assert np.array_equal(past, begin.memory)
 

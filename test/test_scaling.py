@@ -15,7 +15,7 @@ from simulated import measure, postures
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.inference.noise import Noise
-from tendon_robot_ros.model.derivatives import take_sides, tip_and_state_slopes
+from tendon_robot_ros.model.derivatives import take_sides, tip_slopes
 from tendon_robot_ros.model.inverse import reach
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
@@ -169,8 +169,8 @@ def test_friction_at_rest_takes_the_same_sides(length):
     for model, scale, pull in ((small, 1.0, 1.0), (other, length, force)):
         here = model.shape(pull * (low + 0.1 * (high - low)))
         past, move = here.memory.copy(), 1e-3 * pull * np.array([1.0, -0.5, 0.3, -1.0])
-        turned = take_sides(model, here, past, move @ tip_and_state_slopes(model, here, past)[1])
-        found.append((turned, tip_and_state_slopes(model, here, past)[0][:3] * pull / scale))
+        turned = take_sides(model, here, past, move @ tip_slopes(model, here, past)[1])
+        found.append((turned, tip_slopes(model, here, past)[0][:3] * pull / scale))
     assert found[0][0] == found[1][0] > 0
     np.testing.assert_allclose(found[1][1], found[0][1], atol=1e-4 * np.abs(found[0][1]).max())
 

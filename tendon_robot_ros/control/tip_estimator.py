@@ -283,7 +283,7 @@ class TipStep:
         """Return the model's Jacobian of the tip (3, m) [m] times the ranges at a shape."""
         model, (low, high) = self.model, self.limits.T
         past = self.shape.memory if model.remembers else model.arrays.fresh_memory()
-        return np.asarray(tip_slopes(model, goal_shape, past)[:3] * (high - low))
+        return np.asarray(tip_slopes(model, goal_shape, past)[0][:3] * (high - low))
 
     def shape_at(self, goal: Floats) -> Shape:
         """Return the shape under a goal (m,) [N], from the present shape."""

@@ -46,9 +46,11 @@ def tensions_by_pulls(tensions: Floats, slopes: Floats) -> Floats:
     return np.where(both, inverse, 0.0)  # exactly, else rounding would pull slack wires taut
 
 
-def tip_slopes(model: ForwardModel, shape: Shape, past: Floats) -> Floats:
+def tip_slopes(model: ForwardModel, shape: Shape, past: Floats) -> tuple[Floats, Floats]:
     """
-    Return d (tip position, tip direction) / d tensions, (6, m) [m/N], [1/N], at an equilibrium.
+    Return the derivatives of an equilibrium by tensions: of its tip, and of its state.
+
+    Of tip position [m/N] and tip direction [1/N] (6, m), and of the state (m, u) [rad/N].
 
     Parameters
     ----------
@@ -58,11 +60,6 @@ def tip_slopes(model: ForwardModel, shape: Shape, past: Floats) -> Floats:
         That of the shape itself gives the mean of both directions in which tendons may slide on.
 
     """
-    return tip_and_state_slopes(model, shape, past)[0]
-
-
-def tip_and_state_slopes(model: ForwardModel, shape: Shape, past: Floats) -> tuple[Floats, Floats]:
-    """Return `tip_slopes` (6, m) and the derivatives (m, u) [rad/N] of the state by tensions."""
     m = len(shape.inputs)
     slopes, state_slopes = np.empty((6, m)), np.empty((m, model.arrays.unknowns))
     states, part = np.array([shape.state, shape.state]), model.arrays.part('derivatives')
@@ -82,7 +79,7 @@ def take_sides(model: ForwardModel, shape: Shape, past: Floats, step: Floats) ->
         Friction memory of the posture before, changed in place: the slopes of an eyelet that has
         not slid since are then those of the side to which it will. See the kernel's `derivatives`.
     step : (u,) [rad]
-        Motion of the state, by `tip_and_state_slopes`.
+        Motion of the state, by `tip_slopes`.
 
     """
     states, part = np.array([shape.state, shape.state]), model.arrays.part('derivatives')

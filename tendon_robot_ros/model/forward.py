@@ -231,8 +231,7 @@ class ForwardModel:
     ) -> ShapeBatch:
         """Return the shapes (b) of postures one after the other; friction remembers."""
         inputs = input_rows(self.robot, tensions)
-        past = self.arrays.fresh_memory() if memory is None else memory
-        batch, changes = self.solve(inputs, guesses, past, carry=True)
+        batch, changes = self.solve(inputs, guesses, memory, carry=True)
         self._refuse(inputs, changes)
         return batch
 

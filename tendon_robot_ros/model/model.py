@@ -67,7 +67,7 @@ class Model(ForwardModel):
         """Return d (tip position [m], tip direction) / d tensions [N], (6, m), from straight."""
         inputs = self.tensions(tensions)
         if not self.friction_remembers:
-            return slopes.tip_slopes(self, self.shape(inputs), self.arrays.fresh_memory())
+            return slopes.tip_slopes(self, self.shape(inputs), self.arrays.fresh_memory())[0]
         shapes = self.shapes(inputs[None])
         return np.asarray(self.derivatives(shapes, self.inputs, lambda batch: batch.tip)[0])
 

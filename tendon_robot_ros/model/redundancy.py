@@ -24,13 +24,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import NoEquilibriumError
 from ..robot.keep_out import KeepOut
-from .derivatives import (
-    DIFFERENCE_STEP,
-    derivatives,
-    take_sides,
-    tip_and_state_slopes,
-    tip_stiffness,
-)
+from .derivatives import DIFFERENCE_STEP, derivatives, take_sides, tip_slopes, tip_stiffness
 from .program import RANGE_TOLERANCE, solved, within
 from .tip_task import CONVERGED_LENGTH, Preferences, TipTask
 
@@ -102,7 +96,7 @@ class Balance:
 
     def _slopes_after(self, shape: Shape, past: Floats) -> tuple[Floats, Floats]:
         """Return slopes (6, m) of the weighted error, and (m, u) of the state [rad/N]."""
-        slopes, state_slopes = tip_and_state_slopes(self.task.model, shape, past)
+        slopes, state_slopes = tip_slopes(self.task.model, shape, past)
         return self.weights[:, None] * slopes * self.range, state_slopes
 
     def cost(self, shape: Shape, error: Floats) -> float:
@@ -120,7 +114,7 @@ class Balance:
     def log_stiffness(self, shape: Shape) -> float:
         """Return ln of the tip's stiffness [N/m] as preferred, at most of `stiffness_enough`."""
         preferences = self.preferences
-        compliance = tip_stiffness(self.task.model, shape, preferences.wires_held)
+        compliance = tip_stiffness(self.task.model, shape)
         towards = np.array(preferences.stiffness_direction)
         stiffness = compliance.along(towards) if towards.any() else compliance.softest[0]
         enough = preferences.stiffness_enough or np.inf

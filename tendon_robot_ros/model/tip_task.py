@@ -83,7 +83,6 @@ class Preferences:
     limit: float = 0.0  # distance from the highest tension
     smooth: float = 0.0  # little change from where the arm is
     margin: float = 0.1  # [1] of the range: the distance that `slack` and `limit` want
-    wires_held: bool = False  # stiffness with the wires' lengths held, not their tensions
 
     def __post_init__(self) -> None:
         """Refuse weights and margins out of their ranges."""

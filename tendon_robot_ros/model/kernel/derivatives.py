@@ -27,7 +27,6 @@ from .layout import (
     memory_in,
     memory_size,
     words,
-    work_size,
 )
 from .linearisation import TRAVEL_STEP
 from .shape import place, remember, remember_bends, wire_pulls, work_in, workspace
@@ -315,10 +314,9 @@ def path_steps(robot, inputs, states, pulls, past, scratch, answers, by_tension,
 
     """
     chain = chain_at(robot)
-    size, m, k = unknowns(chain), chain.m, chain.k
-    work, then = work_in(chain, scratch), memory_in(chain, address(past))
-    now = memory_in(chain, scratch + 8 * work_size(chain.n, k))
-    f, wires, means, before = np.empty(size), np.empty(k), np.empty(m), np.empty(m)
+    size, m, bends = unknowns(chain), chain.m, np.zeros((2, 3 * chain.n))
+    solver, f, before = workspace(chain, bends, past, scratch), np.empty(size), np.empty(m)
+    work, then = solver.work, solver.past
     for b in range(inputs.shape[0]):
         tension, bend = address(inputs) + 8 * m * b, address(states) + 24 * chain.n * b
         chain.residual(chain, tension, bend, work, then, address(f))
@@ -326,17 +324,16 @@ def path_steps(robot, inputs, states, pulls, past, scratch, answers, by_tension,
             for q in range(size):
                 states[b, r] += f[q] * answers[b, q, r]
         if held[b].any():
-            place_as(chain, tension, bend, work, then)
-            wire_pulls(chain, bend, work, address(wires), address(means))
+            means = input_pulls(chain, tension, bend, solver)
             assign(before, inputs[b])
             for j in range(m):
                 for r in range(m):
                     inputs[b, j] += held[b, j, r] * (pulls[b, r] - means[r])
                 for q in range(size):
                     states[b, q] += (inputs[b, j] - before[j]) * by_tension[b, j, q]
-        remember_bends(chain, tension, bend, work, then, now)
-        copy(now.bend, then.bend, memory_size(chain.n, k, m))
-    keep(f, wires, means)
+        remember_bends(chain, tension, bend, work, then, solver.now)
+        copy(solver.now.bend, then.bend, memory_size(chain.n, chain.k, m))
+    keep(f, bends)
 
 
 @entry()
