@@ -14,7 +14,7 @@ import hashlib
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -32,7 +32,7 @@ from ..effects import load_catalogue
 from ..model import forward
 from ..model.model import Model
 from ..model.shape import ShapeBatch
-from ..robot import Robot, dump_robot
+from ..robot import Robot, dump_robot, parse_robot
 from ..robot.description import tendon_offsets
 from .cubes import SPHERE_PART_COUNT, Cubes, Reached, beyond, folds, sphere_part
 from .view_angle import POSTURES_MAX, is_flat
@@ -191,7 +191,8 @@ def sort_batches(
     sampling: Sampling, round: int, start: Floats, batches: Sequence[tuple[int, int]]
 ) -> Packed:
     """Solve and sort the batches (number, postures) of a round, in a worker."""
-    model, tally = _model_of(sampling), SortedTips(sampling)
+    model = _model_of(dump_robot(sampling.robot), sampling.files)
+    tally = SortedTips(sampling)
     for number, count in batches:
         entropy = np.random.SeedSequence(0, spawn_key=(round, number))
         random = np.random.default_rng(entropy)
@@ -199,16 +200,10 @@ def sort_batches(
     return tally.packed()
 
 
-_MODELS: dict[str, Model] = {}  # of the last sampling that this process has worked on
-
-
-def _model_of(sampling: Sampling) -> Model:
-    """Return the model; a process makes it once for all chunks."""
-    key = f'{dump_robot(sampling.robot)} {sampling.files}'
-    if key not in _MODELS:
-        _MODELS.clear()
-        _MODELS[key] = Model(sampling.robot, load_catalogue(sampling.files))
-    return _MODELS[key]
+@lru_cache(maxsize=1)
+def _model_of(description: str, files: tuple[str, ...]) -> Model:
+    """Return the model of a robot as YAML; a process makes it once for all chunks."""
+    return Model(parse_robot(description), files)
 
 
 def drawn(random: np.random.Generator, count: int, sampling: Sampling, start: Floats) -> Floats:
