@@ -27,7 +27,6 @@ from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import NEAR_SCORE, Session
 from ..inference.statistics import QUANTILE
 from ..model.derivatives import DIFFERENCE_STEP as FORCE_STEP
-from ..robot.estimates import natural_sizes
 
 Start = Mapping[str, float]  # parameter -> SI
 PUSH, STRING, WALL = 'point_load', 'tether', 'contact'  # effects whose place is unknown
@@ -62,8 +61,7 @@ class Screen:
         markers = predictor.markers(base.point)
         if markers is None or predictor.model.remembers or PUSH in predictor.robot.effects:
             return None
-        effect = predictor.model.catalogue[PUSH].sized(natural_sizes(predictor.robot))
-        step = FORCE_STEP * effect.parameters[1].typical
+        step = FORCE_STEP * predictor.model.catalogue[PUSH].parameters[1].typical
         slopes = forces_along(predictor, base.point, PUSH, step, arc_lengths)
         free = np.zeros((len(arc_lengths), len(predictor.inputs), 3))
         for part, shapes in predictor.settle(

@@ -431,7 +431,8 @@ class RandomEffects:
         here, own = work.slopes(v), v[free]
         bend = here.curvature[np.ix_(free, free)] * np.outer(own, own)
         values, vectors = np.linalg.eigh(bend + np.diag(own * here.gradient[free]))
-        root = vectors * np.sqrt(2.0 / np.maximum(values, LOG_PRECISION))
+        # symmetric, so that no sign of an eigenvector decides what is drawn
+        root = vectors * np.sqrt(2.0 / np.maximum(values, LOG_PRECISION)) @ vectors.T
         ranks = (np.arange(NODES) + 0.5) / NODES
         strata = np.tile(ranks, (len(free), 1))  # of a Latin hypercube
         chances = np.random.default_rng(0).permuted(strata, axis=1).T
