@@ -67,8 +67,7 @@ def judge(name: str, truth: dict[str, Any]) -> Outcome:
     start = time.perf_counter()
     found = diagnose(fit)
     seconds = time.perf_counter() - start
-    names = [effect.name for effect in found.effects]
-    made = add_effects(fit, names, check=check, start=found.effects) if found.adds else None
+    made = add_effects(fit, found.effects, check=check) if found.adds else None
     return Outcome(name, truth, found, made, seconds)
 
 

@@ -53,7 +53,7 @@ best = diagnosis.frame().iloc[0]
 print(f'{best.effect}: {best.parameter} = {1e3 * best.value / 9.81:.1f} g')
 
 # %% Add it. The frame was found with the wrong model: find it again with the better one
-better = add_effect(dataset, diagnosis.effects[0].name).robot
+better = add_effect(dataset, diagnosis.effects).robot
 again = import_table('data/mocap/raw.csv', better, {'up': 'y'})
 print(again)
 

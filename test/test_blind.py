@@ -30,7 +30,7 @@ def test_a_blind_case_gets_the_right_verdict(letter):
         assert found.verdict == 'outside_catalogue'
     else:
         assert right
-        made = add_effects(fit, [e.name for e in found.effects], check=check, start=found.effects)
+        made = add_effects(fit, found.effects, check=check)
         assert made.check.gone is None or made.check.gone >= 0.9
 
 

@@ -172,7 +172,7 @@ def test_a_wall_is_named_with_the_postures_that_touch_it_and_added(arm, built):
         off = np.linalg.norm(np.array(one['force']) - true[p, 4:])
         assert off < 0.3 * np.linalg.norm(true[p, 4:]) + FIRM
     assert 'touches in postures' in verdict(found)
-    made = add_effect(dataset, 'contact', start=found.effects)
+    made = add_effect(dataset, found.effects)
     assert made.check.gone > 0.8
 
 

@@ -155,10 +155,7 @@ class Diagnose:
             may_add = bool(effects) and (diagnosis.adds or (outside and args.partial))
             added = None
             if effects and (args.check or (args.add and may_add)):
-                names = [effect.name for effect in effects]
-                added = add_effects(
-                    dataset, names, None, catalogue, check, effects, partial=outside
-                )
+                added = add_effects(dataset, effects, None, catalogue, check, outside)
         lines, content, robot = [diagnosis.text()], diagnosis.to_json(), None
         if added is not None:
             lines += [diagnosis_text.never_used(added), *diagnosis_text.addition_warnings(added)]

@@ -38,8 +38,7 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     story = Story(hidden, diagnosis.to_json())
     print(diagnosis.text())
     if diagnosis.adds:
-        names = [effect.name for effect in diagnosis.effects]
-        addition = add_effects(fit, names, None, catalogue, check, diagnosis.effects)
+        addition = add_effects(fit, diagnosis.effects, None, catalogue, check)
         story.added = addition.helps
         story.before, story.after = addition.check.before, addition.check.after
     print(story.end())

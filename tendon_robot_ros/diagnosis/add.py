@@ -161,11 +161,10 @@ def _short(value: float | None) -> float | None:
 @one_thread()
 def add_effects(
     dataset: DataSetLike,
-    names: Sequence[str],
+    effects: Sequence[str | EffectFinding],
     robot: RobotLike | None = None,
     catalogue: CatalogueLike | None = None,
     check: DataSetLike | None = None,
-    start: Sequence[EffectFinding] = (),
     partial: bool = False,
 ) -> Addition:
     """
@@ -178,15 +177,13 @@ def add_effects(
     ----------
     dataset : DataSet, path, or a list of these
         As `load_dataset` takes them.
-    names : sequence of str
-        Effects, fitted together.
+    effects : sequence of str or EffectFinding
+        By name, or as a diagnosis found them, with values to start from; fitted together.
     robot : Robot, name, path, text or dict, optional
         Default: the data set's.
     catalogue : Catalogue or paths, optional
     check : DataSet or path, optional
         Other postures to judge by; default: groups of postures are left out in turn.
-    start : sequence of EffectFinding, optional
-        Values to start from, as a diagnosis found them.
     partial : bool
         Something outside the catalogue is known to be at work, too.
 
@@ -197,16 +194,19 @@ def add_effects(
     NoEquilibriumError
 
     """
-    if isinstance(names, str) or not names or not all(isinstance(name, str) for name in names):
-        raise refusal('add', 'the names of effects', names)
+    if isinstance(effects, str) or not effects:
+        raise refusal('add', 'the names of effects', effects)
+    names = [one.name if isinstance(one, EffectFinding) else one for one in effects]
+    if not all(isinstance(name, str) for name in names):
+        raise refusal('add', 'the names of effects', effects)
     dataset = load_dataset(dataset, robot)
     described = dataset.robot
     other = None if check is None else load_dataset(check, described)
     session = Question.of(dataset, described, load_catalogue(catalogue)).prepared()
     dataset = session.dataset
-    found, point = [effect for effect in start if effect.name in names], None
-    if set(names) <= {effect.name for effect in found}:
-        point = found_values(found, session.catalogue, session.robot)
+    found = [one for one in effects if isinstance(one, EffectFinding)]
+    whole = len(found) == len(names)
+    point = found_values(found, session.catalogue, session.robot) if whole else None
     settled = settle(session, names, point)
     session, fit, descriptions = settled.session, settled.fit, settled.descriptions
     probability, scale = settled.probability, settled.scale
@@ -278,7 +278,7 @@ def settle(session: Session, names: Sequence[str], start: Point | None = None) -
 
 def add_effect(
     dataset: DataSetLike,
-    name: str,
+    name: str | EffectFinding | Sequence[str | EffectFinding],
     robot: RobotLike | None = None,
     catalogue: CatalogueLike | None = None,
     check: DataSetLike | None = None,
@@ -286,14 +286,14 @@ def add_effect(
     partial: bool = False,
 ) -> Addition:
     """
-    Fit one effect on a data set and write its values into a description.
+    Fit an effect, or several together, on a data set and write the values into a description.
 
     Parameters
     ----------
     dataset : DataSet, path, or a list of these
         As `load_dataset` takes them.
-    name : str
-        An effect of the catalogue.
+    name : str, EffectFinding, or a sequence of these
+        An effect of the catalogue, or what a diagnosis found: `diagnosis.effects`.
     robot : Robot, name, path, text or dict, optional
         Default: the data set's.
     catalogue : Catalogue or paths, optional
@@ -301,7 +301,7 @@ def add_effect(
     check : DataSet or path, optional
         Other postures to judge by; default: groups of postures are left out in turn.
     start : sequence of EffectFinding, optional
-        Values to start from: `diagnosis.effects`.
+        What a diagnosis found, to start from where an effect is given by its name.
     partial : bool
         Something outside the catalogue is known to be at work, too.
 
@@ -311,7 +311,10 @@ def add_effect(
         The new description is its `robot`.
 
     """
-    return add_effects(dataset, [name], robot, catalogue, check, start, partial)
+    several: Sequence[Any] = name if isinstance(name, list | tuple) else [name]
+    found = {one.name: one for one in start}
+    effects = [found.get(one, one) if isinstance(one, str) else one for one in several]
+    return add_effects(dataset, effects, robot, catalogue, check, partial)
 
 
 def fit_effects(

@@ -293,7 +293,7 @@ class Investigation:
             return
         check = self.check = self.measure_fresh() if self.goal.checks else None
         names = [effect.name for effect in found.effects]
-        added = add_effects(self.dataset, names, None, self.catalogue, check, found.effects)
+        added = add_effects(self.dataset, found.effects, None, self.catalogue, check)
         before, after = added.check.before, added.check.after
         self.report(
             'added',

@@ -87,9 +87,7 @@ def work(folder: Path, effects: Sequence[str]) -> None:
         send('progress', 'fitting what was found, with its intervals', part=1.0)
         names = [effect.name for effect in diagnosis.effects]
         partial = not diagnosis.adds
-        addition = add_effects(
-            dataset, names, None, catalogue, None, diagnosis.effects, partial=partial
-        )
+        addition = add_effects(dataset, diagnosis.effects, None, catalogue, partial=partial)
         write_text(folder / BETTER, dump_robot(addition.robot))
         check = addition.check
         send('addition', f'ready to add {listed(names)}', file=str(folder / BETTER), effects=names,
