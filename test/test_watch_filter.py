@@ -1,6 +1,5 @@
 """An arm as it is built, learned from references: what is misread, what is new, what changes."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -35,7 +34,7 @@ def test_of_good_references_one_in_a_thousand_arms_loses_one_and_of_misread_ones
     assert sum(good) <= 3
     off = np.where(np.isin(np.arange(30), [3, 4, 20]), 4.0, 1.0)
     for wide in (1.0, 20.0):  # what is thought to be new in every posture
-        seen = [replace(r, scatter=wide * r.scatter) for r in references(random, 30, off)]
+        seen = [r._replace(scatter=wide * r.scatter) for r in references(random, 30, off)]
         assert np.flatnonzero(contradicted(seen, counts)).tolist() == [3, 4, 20]
     few = list(references(random, 9, np.append(np.ones(8), 50.0)))
     assert not contradicted(few, counts[:9]).any(), 'nine cannot tell what is usual'
@@ -63,11 +62,8 @@ def test_noise_is_learned_at_its_size_and_innovations_vary_as_expected(well_know
     assert arm.setting * arm.plausible[arm._gains[0]] == pytest.approx(0.001)
     assert arm.remainder == 0.0
     assert arm.widening < 1.7
-    arm, scores = arm.as_known(arm.mean, arm.covariance), []
-    for tensions, seen in zip(*averaged(free, postures(32, 5012), random), strict=True):
-        expected = arm.expected(tensions)
-        scores.append(arm.score(expected, seen.ravel(), 30))
-        arm.learn(expected, seen.ravel(), 30)
+    arm = arm.as_known(arm.mean, arm.covariance)
+    scores = arm._follow(*averaged(free, postures(32, 5012), random), 30)
     off, told = (np.sum([score[i] for score in scores], axis=0) for i in (0, 1))
     both = np.linalg.solve(told + np.eye(len(off)), np.column_stack([off, told]))
     assert 0.4 < off @ both[:, 0] / np.trace(both[:, 1:]) < 1.6  # all postures as one batch
