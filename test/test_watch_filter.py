@@ -1,6 +1,5 @@
 """An arm as it is built, learned from references: what is misread, what is new, what changes."""
 
-
 import numpy as np
 import pytest
 from marks import slow
