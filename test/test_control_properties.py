@@ -5,7 +5,7 @@ import contextlib
 import numpy as np
 import pytest
 from control_rig import CYCLE, model
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tendon_robot_ros.common.errors import TendonRobotError
@@ -50,9 +50,15 @@ def tell(core, now, kind, *values):
         core.driver_reports('it says so' if kind == 'driver stops' else '')
 
 
+FACING = (0.0, 0.7071, 0.0, 0.7071)  # along +x
+
+
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')  # squares of 1e308
 @settings(max_examples=60)
 @given(st.lists(messages, max_size=25), st.booleans())
+@example(
+    [('pose', (0.0, 0.0, 0.0), FACING), ('twist', (0.0,) * 3, (0.0, 0.0, 5e156), False)], False
+)
 def test_no_sequence_of_messages_breaks_limits_or_rates(sequence, pull_mode):
     core = ControllerCore(model(), Settings(rate_limit=RATE, pull_mode=pull_mode))
     low, high = core.limits.T

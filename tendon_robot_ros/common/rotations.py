@@ -41,7 +41,7 @@ def from_rotation_vector(vector: Sequence[float] | Floats) -> Floats:
     """Return the rotation matrix (3, 3) of a rotation vector [rad]."""
     half = 0.5 * np.asarray(vector, dtype=float)
     angle = float(np.linalg.norm(half))
-    return from_quaternion((*(np.sinc(angle / np.pi) * half), math.cos(angle)))
+    return from_quaternion((*(np.sinc(angle / np.pi) * half), float(np.cos(angle))))
 
 
 def towards(direction: Floats) -> Floats:

@@ -250,13 +250,17 @@ class Fits:
         """
         Add a second effect, and a third, while the gain is significant; empty: one is enough.
 
-        Imperfections may explain as much as a second effect: the likelihood compares both.
+        Imperfections may explain as much as a second effect: the likelihood compares both. So may
+        deviations of the arm that have changed since an earlier recording.
         """
         current = best
         while len(current.names) < EFFECTS_MAX:
             session, trials = self.session, len(self.session.candidates)
             larger = extended(session, current)
             chances = gain_p_values(session, current.fit, larger)
+            if session.dataset.reference is not None:
+                beside = beside_deviations(session, current.fit, larger)
+                chances = list(map(max, chances, beside))
             more = [
                 r
                 for r, by_chance in zip(larger, chances, strict=True)
@@ -275,22 +279,14 @@ def _numbers(ranked: Ranked, gain_p: float = 1.0) -> Hypothesis:
 
 
 def gain_p_values(session: Session, base: Fit, ranked: Sequence[Ranked]) -> list[float]:
-    """
-    Return the p-value of each gain, halved where the one parameter has only one side.
-
-    What has changed since an earlier recording also has to gain beside deviations of the arm that
-    have changed by as much as is allowed.
-    """
+    """Return the p-value of each gain, halved where the one parameter has only one side."""
 
     def chance(fit: Fit) -> float:
         rank = max(fit.rank, 1)
         p_value = gain_p_value(base, session.whitener, fit.deviance, fit.markers, rank)
         return 0.5 * p_value if fit.one_sided else p_value
 
-    chances = [chance(r.fit) for r in ranked]
-    if session.dataset.reference is None:
-        return chances
-    return list(map(max, chances, beside_deviations(session, base, ranked)))
+    return [chance(r.fit) for r in ranked]
 
 
 def beside_deviations(session: Session, base: Fit, ranked: Sequence[Ranked]) -> list[float]:
