@@ -38,7 +38,7 @@ def turned_in_plane(vector: Floats, angle: Floats) -> Floats:
 
 
 def from_rotation_vector(vector: Sequence[float] | Floats) -> Floats:
-    """Return the rotation matrix (3, 3) of a rotation vector [rad]; NaN if its square overflows."""
+    """Return the rotation matrix (3, 3) of a rotation vector [rad]; NaN if too large to square."""
     half = 0.5 * np.asarray(vector, dtype=float)
     angle = float(np.linalg.norm(half))
     return from_quaternion((*(np.sinc(angle / np.pi) * half), float(np.cos(angle))))
