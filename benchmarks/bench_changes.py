@@ -54,9 +54,8 @@ def said(robot: Robot, change: dict[str, dict[str, float]], kind: str, seed: int
     names = found.cannot_tell_apart or [effect.name for effect in found.effects]
     text = ' + '.join((found.verdict.value, *names))
     if 'tip_load' in change and 'tip_load' in names:
-        force = next(one for one in found.candidates if one.name == 'tip_load').parameters[
-            'force_x'
-        ]
+        told = (*found.effects, *found.candidates)  # of a candidate alone where a class is named
+        force = next(one for one in told if one.name == 'tip_load').parameters['force_x']
         holds = force.low <= change['tip_load']['force_x'] <= force.high
         text += ', interval ' + ('holds' if holds else 'does not hold')
     return text

@@ -12,7 +12,13 @@ from tendon_robot_ros.inference.candidates import likelihood_ratio_p_value
 from tendon_robot_ros.inference.fit import Fit, with_imperfections
 from tendon_robot_ros.inference.imperfections import Kind
 from tendon_robot_ros.inference.intervals import SizeIntervals
-from tendon_robot_ros.inference.marginal import PLAUSIBLE_FACTOR, Prior, RandomEffects
+from tendon_robot_ros.inference.marginal import (
+    NEGLIGIBLE,
+    PLAUSIBLE_FACTOR,
+    SIZE_MAX,
+    Prior,
+    RandomEffects,
+)
 from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.inference.statistics import chi2_isf, chi2_sf
 from tendon_robot_ros.report.sentences import as_built
@@ -161,6 +167,20 @@ def test_a_size_that_nothing_tells_is_as_plausible_as_before():
         told = 1.96 * np.sqrt(fit.interval_covariance[0, 0])
         assert told == pytest.approx(half * np.hypot(0.01, beside), rel=0.05)
         assert random.estimate(np.array([1e4, 0.3]), np.zeros((2, 0))).values == [0.01]
+
+
+@pytest.mark.parametrize('times', [0.5, 2.0, 20.0])
+def test_an_interval_is_that_of_all_sizes_that_an_imperfection_may_have(times):
+    """By quadrature over the size, which ends where what scatters more is no imperfection."""
+    random, _, residuals = scattered(6, times * 0.03, 1)
+    slope = np.where(np.arange(12) < 6, 1e4, 0.0)  # the mean of all members, which five tell
+    sizes = random.estimate(residuals[0], slope[:, None], prior=Prior.LOGARITHMS).values
+    told = random.mixture(residuals[0], slope[:, None], sizes).covariance()[0, 0]
+    s = np.geomspace(NEGLIGIBLE * 0.03, SIZE_MAX * 0.03, 4000)
+    members = residuals[0][:6] / 1e4
+    z = np.log(s / 0.03) / np.log(PLAUSIBLE_FACTOR)
+    density = s**-5.0 * np.exp(-0.5 * (z**2 + np.var(members) * 6 / s**2))
+    assert told == pytest.approx(np.average(s**2, weights=density) / 6, rel=0.1)
 
 
 def normal_mean(function):

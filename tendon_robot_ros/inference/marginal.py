@@ -416,6 +416,14 @@ class RandomEffects:
         size = float(lifted @ lifted)
         return 2.0 * size**2 / variance if variance > 0.0 else np.inf
 
+    def _bounds(self, prior: Prior) -> tuple[Floats, Floats]:
+        """Return the least and largest variances (K,) under a prior."""
+        around = self.around(prior)
+        usual = np.where(np.isfinite(around), around, 0.0)
+        fixed = self.few & (prior is Prior.SIZES)
+        low = np.where(fixed, usual, NEGLIGIBLE * usual)
+        return low**2, np.where(fixed, usual, SIZE_MAX * around) ** 2
+
     def mixture(
         self, residual: Floats, slopes: Floats, sizes: Floats, weights: Floats | None = None
     ) -> Mixture:
@@ -423,10 +431,11 @@ class RandomEffects:
         Return the distribution of parameters over the sizes that the data leave possible.
 
         Sets of sizes are drawn around the likeliest ones (K,), by the curvature there, and weighed
-        by their likelihood and prior (importance sampling); always the same ones. A remainder
-        keeps its size. The other arguments are those of `estimate`.
+        by their likelihood and prior within the bounds of `estimate` (importance sampling); always
+        the same ones. A remainder keeps its size. The other arguments are those of `estimate`.
         """
         work, v = Likelihood(self, residual, slopes, weights, Prior.LOGARITHMS), sizes**2
+        low, high = self._bounds(Prior.LOGARITHMS)
         free = np.flatnonzero(np.isfinite(self.plausible) & (sizes > 0.0))
         here, own = work.slopes(v), v[free]
         bend = here.curvature[np.ix_(free, free)] * np.outer(own, own)
@@ -443,7 +452,8 @@ class RandomEffects:
         for i, draw in enumerate(draws):
             tried = v.copy()
             tried[free] *= np.exp(root @ draw)
-            logs[i] -= 0.5 * work.deviance(tried)
+            inside = (low <= tried).all() and (tried <= high).all()
+            logs[i] -= 0.5 * work.deviance(tried) if inside else np.inf
             there, covariance = work.parameters(tried)
             shifts.append(there - best)
             covariances.append(covariance)
@@ -524,11 +534,7 @@ class RandomEffects:
         """
         work = Likelihood(self, residual, slopes, weights, prior)
         sizes = self.start if start is None else np.asarray(start, dtype=float)
-        around = self.around(prior)
-        usual = np.where(np.isfinite(around), around, 0.0)
-        fixed = self.few & (prior is Prior.SIZES)
-        low = np.where(fixed, usual, NEGLIGIBLE * usual) ** 2
-        high = np.where(fixed, usual, SIZE_MAX * around) ** 2
+        low, high = self._bounds(prior)
         if not remainder and self.remainder is not None:
             low[self.remainder] = 0.0
             high[self.remainder] = self.kinds[self.remainder].allowed ** 2
