@@ -17,11 +17,10 @@ from ..comparison.compare import compare
 from ..comparison.result import to_json
 from ..data import DataSet
 from ..diagnosis.add import Addition, add_effects, restore
-from ..diagnosis.diagnose import diagnose
+from ..diagnosis.diagnose import changed_since, diagnose
 from ..diagnosis.improve import improve
 from ..diagnosis.result import Diagnosis
 from ..diagnosis.verdict import Verdict
-from ..inference.discrepancy import since
 from ..inference.statistics import ERRORS
 from ..report import diagnosis_text, improvement_page
 from ..report.comparison import comparison_page
@@ -139,8 +138,9 @@ class Diagnose:
             dataset, check, catalogue = options.load_judged(args, show)
             if args.reference:
                 old = options.load_measurements(args.reference, dataset.robot, show)
-                dataset = since(dataset, old, catalogue)
-                check = None if check is None else since(check, old, catalogue)
+                both = [dataset] if check is None else [dataset, check]
+                dataset, *rest = changed_since(both, old, catalogue, show)
+                check = rest[0] if rest else None
             diagnosis = diagnose(dataset, None, catalogue, progress=show)
             if args.trust:
                 from ..diagnosis.trust import SECONDS, assess

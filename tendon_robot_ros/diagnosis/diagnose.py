@@ -10,15 +10,16 @@ import numpy as np
 from ..common.errors import InputError, NoEquilibriumError, Progress, whole
 from ..common.processes import one_thread
 from ..common.words import listed, mm
-from ..data import DataSetLike, load_dataset
+from ..data import DataSet, DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..inference.crossval import rms_of
-from ..inference.discrepancy import since
+from ..inference.discrepancy import earlier_of, since
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES
 from ..inference.predict import FreeParameter
 from ..inference.session import NOISE_UNKNOWN, Question, Session
 from ..robot import RobotLike
+from .add import add_effects
 from .marker_hypotheses import exchanged
 from .next_measurement import propose
 from .report_rows import details_of, finding, fitted_errors, remainder_text, rows_of
@@ -63,7 +64,8 @@ def diagnose(
     progress : callable, optional
         Called with (what, done, total).
     reference : DataSet, path, or a list of these, optional
-        An earlier recording of the same arm: then only what has changed since is judged.
+        An earlier recording of the same arm: then only what has changed since is judged, the
+        effects that are missing there being added first.
 
     Raises
     ------
@@ -74,7 +76,7 @@ def diagnose(
     whole('workers', workers, 1)
     dataset = load_dataset(dataset, robot)
     if reference is not None:
-        dataset = since(dataset, reference, catalogue)
+        (dataset,) = changed_since([dataset], reference, catalogue, progress)
     question = Question.of(dataset, dataset.robot, load_catalogue(catalogue), progress)
     measured = int((question.dataset.trials > 0).sum())
     if measured < POSTURES_MIN:
@@ -117,6 +119,28 @@ def diagnose(
     if first is not None and not (quiet and first.agrees(diagnosis)):
         caveats.append(first.possible(quiet))
     return replace(diagnosis, details={**diagnosis.details, 'caveats': caveats})
+
+
+def changed_since(
+    datasets: Sequence[DataSet],
+    reference: DataSetLike,
+    catalogue: CatalogueLike | None = None,
+    progress: Progress | None = None,
+) -> list[DataSet]:
+    """
+    Return recordings of one arm without what it deviated from its description before; see `since`.
+
+    Effects that are missing in the earlier recording are added to the description first: an arm
+    with other effects than described moves in another way when something changes.
+    """
+    old, lacked = earlier_of(datasets[0], reference), ()
+    before = diagnose(old, None, catalogue, progress=progress)
+    if before.adds:
+        added = add_effects(old, before.effects, None, catalogue)
+        if added.helps:
+            datasets = [replace(one, robot=added.robot) for one in datasets]
+            lacked = tuple(effect.name for effect in before.effects)
+    return [since(one, old, catalogue, lacked) for one in datasets]
 
 
 def _likelier_mistake(

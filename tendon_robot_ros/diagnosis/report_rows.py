@@ -291,7 +291,7 @@ def details_of(fits: Fits, decision: Concluded) -> dict[str, Any]:
         'relative_to_remainder': decision.scale if outside else None,
         'accuracy': session.dataset.accuracy if session.use_accuracy else None,
         'model_error': session.robot.model_error,
-        'reference': taken and {'data': taken.name, 'error': taken.error},
+        'reference': taken and {'data': taken.name, 'error': taken.error, 'lacked': taken.lacked},
     }
     if decision.rival is not None:
         names = 'name', 'deviance', 'parameters'

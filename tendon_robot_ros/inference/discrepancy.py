@@ -14,6 +14,7 @@ length l are the likeliest ones of the earlier recording.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,8 +33,32 @@ ALIKE = ('markers', 'input', 'input_names')  # what both recordings must have in
 LENGTHS = 12  # [1] that are tried, so that each is within a quarter of the next
 
 
+def earlier_of(new: DataSet, reference: DataSetLike) -> DataSet:
+    """
+    Return an earlier recording of the arm of a new one, with the description of this.
+
+    Raises
+    ------
+    DataSetError
+        Markers or inputs differ.
+
+    """
+    old = load_dataset(reference, new.robot)
+    for key in ALIKE:
+        if getattr(new, key) != getattr(old, key):
+            raise DataSetError(
+                f'{old.name}: {key}',
+                f'differ from those of {new.name}',
+                'a reference has the same markers and inputs',
+            )
+    return old
+
+
 def since(
-    dataset: DataSetLike, reference: DataSetLike, catalogue: CatalogueLike | None = None
+    dataset: DataSetLike,
+    reference: DataSetLike,
+    catalogue: CatalogueLike | None = None,
+    lacked: Sequence[str] = (),
 ) -> DataSet:
     """
     Return a recording without what the arm deviated from its description before.
@@ -46,6 +71,8 @@ def since(
         The new recording, whose robot describes both, and the earlier one, of the same markers
         under inputs of one kind.
     catalogue : Catalogue or paths, optional
+    lacked : sequence of str
+        Effects that were added to the description because the reference shows them.
 
     Raises
     ------
@@ -58,14 +85,7 @@ def since(
 
     """
     new = load_dataset(dataset)
-    described, old = new.robot, load_dataset(reference, new.robot)
-    for key in ALIKE:
-        if getattr(new, key) != getattr(old, key):
-            raise DataSetError(
-                f'{old.name}: {key}',
-                f'differ from those of {new.name}',
-                'a reference has the same markers and inputs',
-            )
+    described, old = new.robot, earlier_of(new, reference)
     whole = np.flatnonzero((old.counts > 0).all(axis=1))
     if not len(whole):
         raise DataSetError(old.name, 'no posture shows all markers', 'record one that does')
@@ -90,7 +110,7 @@ def since(
         new,
         robot=found,
         positions=new.positions - taken[:, None],
-        reference=EarlierRecording(old.name, deviations.size, doubt, noise),
+        reference=EarlierRecording(old.name, deviations.size, doubt, noise, tuple(lacked)),
     )
 
 
