@@ -133,7 +133,7 @@ def changed_since(
     Effects that are missing in the earlier recording are added to the description first: an arm
     with other effects than described moves in another way when something changes.
     """
-    old, lacked = earlier_of(datasets[0], reference), ()
+    old, lacked = earlier_of(datasets[0], reference), tuple[str, ...]()
     before = diagnose(old, None, catalogue, progress=progress)
     if before.adds:
         added = add_effects(old, before.effects, None, catalogue)
