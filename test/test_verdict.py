@@ -1,6 +1,7 @@
 """From evidence to a verdict: a table of numbers, without any measurement or fit."""
 
 from dataclasses import replace
+from itertools import chain
 
 import pytest
 
@@ -26,6 +27,8 @@ HINGE = Hypothesis(('hinge_friction',), NEAR, gain_p=1e-12)
 LOAD = Hypothesis(('tip_load',), NEAR + 1.0, gain_p=1e-12)
 POOR = replace(HINGE, probability=0.5 * P_SINGLE_MIN)
 BOTH = Hypothesis(('hinge_friction', 'tip_load'), NEAR - 30.0, probability=2.0 * P_SEVERAL_MIN)
+SOFTER = replace(BOTH, names=('hinge_friction', 'backbone_stiffness'), score=BOTH.score + 2.0)
+BENT = replace(BOTH, names=('tip_load', 'pre_curvature'), score=BOTH.score + 3.0)
 CELL = Rival('soft_cell', NEAR - 2.0 * APART_FROM_SCORE, gain_p=1e-12)
 BEATEN = Rival('soft_cell', NEAR - 0.5 * APART_FROM_SCORE, gain_p=1e-12)
 PUSH = Hypothesis(('point_load',), CELL.score)
@@ -43,8 +46,10 @@ CLEAR, NONE = [Departure(5.0, 25.0, 1)], [Departure(0.1, 0.01, 1)]
 def evidence(*singles, built=False, probability=1e-9, departures=CLEAR, **known):
     """Return evidence of which every part is known, without a cause from outside."""
     parts = {'patterns': (), 'rivals': (), 'further': (), 'wider': frozenset(), 'helpful': singles}
+    parts |= {'swapped': ()}
     placed = (one.placed for one in known.get('rivals') or () if one.placed)
-    every = (*singles, *known.get('combined', ()), *(known.get('further') or ()), *placed)
+    joint = (known.get(part) or () for part in ('combined', 'further', 'swapped'))
+    every = (*singles, *chain.from_iterable(joint), *placed)
     parts |= {'departures': {one.names: departures for one in every}} | known
     return Evidence(built, 1000.0, probability, singles, **parts)
 
@@ -156,12 +161,31 @@ def test_verdict(case):
         (evidence(HINGE, built=True, further=None), 'further'),
         (evidence(POOR), 'combined'),
         (evidence(POOR, combined=(), helpful=None), 'helpful'),
+        (evidence(POOR, combined=(BOTH,), swapped=None), 'swapped'),
     ],
 )
 def test_what_does_not_decide_is_not_asked_for(known, part):
     with pytest.raises(Missing) as missing:
         decide(known)
     assert missing.value.part == part
+
+
+@pytest.mark.parametrize(
+    ('swapped', 'together'),
+    [
+        ([], ()),
+        ([SOFTER], ('tip_load', 'backbone_stiffness')),
+        ([replace(SOFTER, score=BOTH.score + 1.1 * APART_FROM_SCORE)], ()),
+        ([replace(SOFTER, probability=0.5 * P_SINGLE_MIN)], ()),
+        ([SOFTER, BENT], ('hinge_friction', 'tip_load', 'backbone_stiffness', 'pre_curvature')),
+    ],
+)
+def test_of_several_those_that_another_may_stand_for_are_told(swapped, together):
+    for known in ({'combined': (BOTH,)}, {'further': (BOTH,), 'built': True}):
+        singles = [HINGE] if known.get('built') else [POOR]
+        said = decide(evidence(*singles, swapped=tuple(swapped), **known))
+        assert (said.verdict, said.chosen, said.together) == ('several', BOTH, together)
+        assert [one.names for one in said.alike[1:]] == [one.names for one in swapped if together]
 
 
 def test_an_alarm_needs_a_gain_that_the_number_of_candidates_does_not_explain():

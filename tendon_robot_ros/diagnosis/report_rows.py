@@ -212,8 +212,8 @@ def rows_of(fits: Fits, decision: Concluded, errors: FittedErrors) -> tuple[Cand
     The error of every candidate is of the same kind as that of the chosen one.
     """
     ranked, chosen = fits.every, decision.chosen
-    if chosen is not None and chosen not in ranked:
-        ranked.append(chosen)
+    together = decision.alike or (() if chosen is None else (chosen,))
+    ranked += [one for one in together if one not in ranked]
     rows = []
     for r in sorted(ranked, key=lambda r: r.score):
         rows.append(_row(fits, decision, r, errors))
@@ -233,10 +233,10 @@ def _row(fits: Fits, decision: Concluded, ranked: Ranked, errors: FittedErrors) 
     reported = fits.reported(ranked) if best else fit
     needed = decision.verdict is not Verdict.ADEQUATE
     error = error_of(session, described_by(session, reported, errors.beside))
-    known = None
+    known, alike = None, {one.candidate.label for one in decision.alike} or set(decision.together)
     if best:
         status, held_out = 'best', errors.left_out
-    elif ranked.candidate.label in decision.together:
+    elif ranked.candidate.label in alike:
         status = 'cannot be told apart'
         held_out = root_mean(left_out_squares(session.fitter, fit, errors.beside))
     else:

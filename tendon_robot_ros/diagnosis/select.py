@@ -17,6 +17,7 @@ from ..effects import Catalogue
 from ..inference.candidates import Candidate, Ranked, gain_p_value, likelihood_ratio_p_value
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
+from ..inference.predict import Point
 from ..inference.search import DIFFERENCE_STEP, LADDER, sized
 from ..inference.session import NEAR_SCORE, Question, Session, better
 from ..inference.statistics import first_of_best
@@ -53,6 +54,7 @@ class Fits:
     not_tested: list[Candidate]
     reversed: bool = False  # whether a fit was better beyond a reversal of friction
     joint: list[Ranked] = field(default_factory=list)  # effects fitted together
+    swapped: list[Ranked] = field(default_factory=list)  # with another effect in place of one
     rivals: list[Pattern] = field(default_factory=list)  # that compete with the best effects
     alone: list[Pattern] = field(default_factory=list)  # beside the base
     placed: list[Ranked] | None = None  # effects at places that had to be found
@@ -105,7 +107,7 @@ class Fits:
 
     def fit_of(self, names: Names) -> Ranked:
         """Return the fit of effects."""
-        return next(r for r in (*self.joint, *self.every) if r.names == names)
+        return next(r for r in (*self.joint, *self.swapped, *self.every) if r.names == names)
 
     @property
     def every(self) -> list[Ranked]:
@@ -131,17 +133,12 @@ class Fits:
         match missing.part:
             case 'wider':
                 near = [self.fit_of(one.names) for one in contenders(known.singles)]
-                wider = [
-                    r for r in near if any(r is not s and session.contains(r, s) for s in near)
-                ]
-                found['wider'] = frozenset(r.names for r in wider)
+                found['wider'] = frozenset(r.names for r in containing(session, near))
             case 'departures':
                 told = {missing.names: self.departures(self.fit_of(missing.names))}
                 found['departures'] = {**known.departures, **told}
             case 'patterns' | 'rivals' if not self.remembers and self._places(missing.score):
-                found |= self._refitted()
-                if known.combined is not None:
-                    found['combined'] = tuple(map(_numbers, self.joint))
+                found |= self._refitted(known)
             case 'patterns':
                 found['patterns'] = self._numbers(self.patterns, base)
             case 'rivals' if self.remembers:  # no pattern does
@@ -158,15 +155,18 @@ class Fits:
             case 'further':
                 self.joint = self._joined(self.fit_of(missing.names))
                 found['further'] = tuple(map(_numbers, self.joint))
+            case 'swapped':
+                self.swapped = swapped(session, self.fit_of(missing.names))
+                found['swapped'] = tuple(map(_numbers, self.swapped))
             case 'combined':
                 self.session, self.joint = several(session, self.singles)
                 if self.joint:
-                    found |= self._refitted()
+                    found |= self._refitted(known)
                 found['combined'] = tuple(map(_numbers, self.joint))
         return found
 
-    def _refitted(self) -> dict[str, Any]:
-        """Refit all with the present weights; return what is known then."""
+    def _refitted(self, known: Evidence) -> dict[str, Any]:
+        """Refit all with the present weights; return what is known then, of combinations too."""
         session = self.session
         self.base = session.base_fit((self.base,))
         fits = [*self.singles, *self.joint, *(self.placed or ())]
@@ -178,7 +178,8 @@ class Fits:
             self.placed = [again[r.names] for r in self.placed if r.names in again]
         self.alone.clear()
         self._reported.clear()
-        return vars(self.evidence())
+        joint = None if known.combined is None else tuple(map(_numbers, self.joint))
+        return vars(self.evidence()) | {'combined': joint}
 
     def _places(self, score: float) -> bool:
         """
@@ -392,6 +393,32 @@ def several(session: Session, singles: Sequence[Ranked]) -> tuple[Session, list[
             if holds_together(_numbers(best[0])):
                 break
     return session, best
+
+
+def swapped(session: Session, best: Ranked) -> list[Ranked]:
+    """Fit several effects with another one in place of each, as far as these may do as well."""
+    point, larger = best.fit.point, list[Candidate]()
+    others = [c for c in session.tested(session.candidates, point) if c.names[0] not in best.names]
+    for name in best.names:
+        rest = best.candidate.without(name)
+        larger += [
+            rest.with_(c)
+            for c in others
+            if not overlaps(session.catalogue, c.names[0], rest.names)
+        ]
+    starts: dict[str, Fit | Point] = {
+        c.label: {free: point[free] for free in c.frees if free in point} for c in larger
+    }
+    starts[best.candidate.label] = best.fit
+    fits = session.fit_all([best.candidate, *larger], starts, 'other effects')
+    near = [r for r in fits if r.score <= best.score + APART_FROM_SCORE]
+    wider = containing(session, near)
+    return [r for r in near if r.names != best.names and r not in wider]
+
+
+def containing(session: Session, near: Sequence[Ranked]) -> list[Ranked]:
+    """Return the candidates that can imitate another one of them."""
+    return [r for r in near if any(r is not s and session.contains(r, s) for s in near)]
 
 
 def _pruned(session: Session, ranked: Ranked) -> Ranked:

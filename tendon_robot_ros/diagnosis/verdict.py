@@ -193,6 +193,7 @@ class Evidence:
     helpful: tuple[Hypothesis, ...] | None = None  # may be a part of the cause
     further: tuple[Hypothesis, ...] | None = None  # the best one with others of significant gain
     combined: tuple[Hypothesis, ...] | None = None  # the best combination; weights are its own
+    swapped: tuple[Hypothesis, ...] | None = None  # it with another effect in place of one
 
 
 class Missing(LookupError):
@@ -344,7 +345,7 @@ def _without_places(evidence: Evidence) -> Concluded:
     if evidence.as_built:
         for more in known(evidence.further, 'further', best.names):
             if differs(evidence, more):
-                return Conclusion(Verdict.SEVERAL, more)
+                return _together(evidence, more)
     return _named(evidence, [*group, *_places(evidence, best.score - LIKELIER_FROM_SCORE)])
 
 
@@ -356,9 +357,22 @@ def _of_several(evidence: Evidence, combined: Sequence[Hypothesis]) -> Concluded
     if tried:
         rival = _competing(evidence, min(one.score for one in tried))
     if holding and rival is None:
-        return Conclusion(Verdict.SEVERAL, holding[0])
+        return _together(evidence, holding[0])
     helpful = known(evidence.helpful, 'helpful')
     return _outside(evidence, first_of_best(helpful) if helpful else None, rival)
+
+
+def _together(evidence: Evidence, best: Hypothesis) -> Concluded:
+    """Name several effects, and those that explain as much with another one of them."""
+    limit = best.score + APART_FROM_SCORE
+    swapped = known(evidence.swapped, 'swapped', best.names)
+    near = [one for one in swapped if one.score <= limit and one.probability > P_SINGLE_MIN]
+    group = [best, *(one for one in near if differs(evidence, one))]
+    if len(group) == 1:
+        return Conclusion(Verdict.SEVERAL, best)
+    in_all = set(best.names).intersection(*(one.names for one in group))
+    names = dict.fromkeys(name for one in group for name in one.names if name not in in_all)
+    return Conclusion(Verdict.SEVERAL, best, tuple(names), alike=tuple(group))
 
 
 def holds_together(one: Hypothesis) -> bool:

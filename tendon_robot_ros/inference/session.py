@@ -353,8 +353,8 @@ class Session(Question):
 
     def contains(self, large: Ranked, small: Ranked) -> bool:
         """Return whether the larger candidate can imitate the predictions of the smaller one."""
-        contained = self.catalogue[large.names[0]].contains
-        if small.names[0] in contained or set(small.names) < set(large.names):
+        contained = {within for name in large.names for within in self.catalogue[name].contains}
+        if set(small.names) <= contained | set(large.names):
             return True
         if large.fit.rank <= small.fit.rank:
             return False

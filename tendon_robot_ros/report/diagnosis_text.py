@@ -261,8 +261,9 @@ def alike(diagnosis: Diagnosis) -> str:
     """Describe effects indistinguishable from the named ones, and the next best one."""
     if not diagnosis.effects:
         return ''
-    own = {effect.name for effect in diagnosis.effects}
-    rest = [name for name in diagnosis.cannot_tell_apart if name not in own]
+    own, names = [effect.name for effect in diagnosis.effects], diagnosis.cannot_tell_apart
+    rest = [name for name in names if name not in own]
+    one_of = f'{listed([name for name in own if name in names])} ' if len(own) > 1 and rest else ''
     parts = []
     best = diagnosis.details.get('next_best')
     if best is not None and diagnosis.verdict is not Verdict.SEVERAL:
@@ -276,7 +277,7 @@ def alike(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict is Verdict.AMBIGUOUS:
         return '; '.join(parts)
     tail = f' ({"; ".join(parts)})' if parts else ''
-    return f'cannot be told apart from: {", ".join(rest) or "nothing"}{tail}'
+    return f'{one_of}cannot be told apart from: {", ".join(rest) or "nothing"}{tail}'
 
 
 def untested(diagnosis: Diagnosis) -> str:
