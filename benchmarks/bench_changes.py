@@ -51,7 +51,8 @@ def said(robot: Robot, change: dict[str, dict[str, float]], kind: str, seed: int
         for trial, hidden in enumerate(({}, change))
     )
     found = diagnose(new, reference=old)
-    names = found.cannot_tell_apart or [effect.name for effect in found.effects]
+    effects = (effect.name for effect in found.effects)
+    names = list(dict.fromkeys((*effects, *found.cannot_tell_apart)))
     text = ' + '.join((found.verdict.value, *names))
     if 'tip_load' in change and 'tip_load' in names:
         told = (*found.effects, *found.candidates)  # of a candidate alone where a class is named

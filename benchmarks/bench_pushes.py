@@ -105,9 +105,9 @@ def tried(robot: Robot, kind: str, seed: int, input: str = 'tension') -> dict[st
     names = [effect.name for effect in found.effects]
     alike = found.cannot_tell_apart
     row: dict[str, object] = {
-        'said': ' + '.join((found.verdict.value, *(alike or names))),
+        'said': ' + '.join((found.verdict.value, *dict.fromkeys((*names, *alike)))),
         'alike': kind in alike,
-        'wrong': bool(names) and kind not in (alike or names),
+        'wrong': bool(names) and kind not in (*names, *alike),
         'seconds': time.process_time() - start,
     }
     if kind in hidden:

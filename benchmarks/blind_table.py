@@ -89,7 +89,8 @@ def row(outcome: Outcome) -> str:
     """Return a row of the table."""
     found, made, truth = outcome.found, outcome.made, outcome.truth
     told = found.verdict.replace('_', ' ')
-    names = list(found.cannot_tell_apart) or [effect.name for effect in found.effects]
+    effects = (effect.name for effect in found.effects)
+    names = list(dict.fromkeys((*effects, *found.cannot_tell_apart)))
     if found.adds:
         told += ': ' + ', '.join(names)
     values = '; '.join(quantities(v) for v in made.values.values()) if made else '–'

@@ -81,7 +81,23 @@ def test_two_effects_at_once_are_both_found():
     truths = {'hinge_friction': {'lever': 2e-4}, 'pre_curvature': {'angle_x': 0.01}}
     found = diagnose(measured(ROBOT, truths, count=12))
     assert found.verdict == 'several'
-    assert set(names(found)) == set(truths)
+    assert set(names(found)) == set(truths) and not found.cannot_tell_apart
+    assert 'cannot be told apart from: nothing' in found.text()
+
+
+@pytest.mark.parametrize('robot', ['kato_10_1_single', 'spatial_3'])
+@pytest.mark.long
+def test_beside_a_load_a_stiffer_arm_is_one_that_is_pulled_less(robot):
+    """Shapes by tensions tell the ratio of moment and stiffness only, whatever else acts."""
+    hidden = {'tip_load': {'force_x': 0.006}, 'backbone_stiffness': {'relative_change': 0.12}}
+    found = diagnose(measured(simulated.robot(robot), hidden, count=12))
+    assert found.verdict == 'several' and 'tip_load' in names(found)
+    assert {'backbone_stiffness', 'transmission_loss'} <= set(found.cannot_tell_apart)
+    (other,) = set(names(found)) - {'tip_load'}
+    assert f'{other} cannot be told apart from: ' in found.text()
+    status = {row.name: row.status for row in found.candidates}
+    for name in set(found.cannot_tell_apart) - {other}:
+        assert status[f'tip_load + {name}'] == 'cannot be told apart'
 
 
 def test_without_the_true_effect_the_catalogue_has_no_answer(monkeypatch):
