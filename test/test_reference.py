@@ -93,7 +93,7 @@ def test_a_load_that_is_new_is_named_alone_on_an_arm_that_lacks_an_effect(arm):
         assert own.high - own.low < 0.5 * LOAD['tip_load']['force_x']
     assert found.details['reference']['data'] == old.name
     assert found.details['reference']['lacked'] == ('nonlinear_stiffness',)
-    assert 'nonlinear_stiffness, missing there as well' in found.text()
+    assert 'missing there already, and counted as described: nonlinear_stiffness' in found.text()
 
 
 @pytest.mark.parametrize(('arm', 'seed'), [('planar', 3), ('spatial', 5)])

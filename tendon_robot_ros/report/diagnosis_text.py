@@ -81,7 +81,7 @@ def declared(diagnosis: Diagnosis) -> list[str]:
             f'({mm(taken["error"], 2)} at the tip) is taken off: what has changed since is judged'
         )
         if lacked := listed(list(taken['lacked'])):
-            first += f'; {lacked}, missing there as well, counts as described: add it'
+            first += f'; missing there already, and counted as described: {lacked}'
     noise = details['noise']
     source = 'from the trials' if noise['source'] == 'trials' else 'as declared'
     second = f'noise, {source}: {mm(noise["position"], 2)} per coordinate'
