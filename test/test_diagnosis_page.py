@@ -242,7 +242,7 @@ def test_deviations_of_a_perfect_model_are_standard_normal():
                     noise=SimulatedNoise(2e-4, 0.0, 0.0))  # fmt: skip
     lacks = missing_moment(data, robot, compare(data).measured, load_catalogue())
     assert lacks.deviation.std() == pytest.approx(1.0, abs=0.08)
-    z = (lacks.bend / lacks.bend_sd)[np.isfinite(lacks.bend_sd)]
+    z = (lacks.moment / lacks.moment_sd)[np.isfinite(lacks.moment_sd)]
     assert z.std() == pytest.approx(1.0, abs=0.2)
 
 

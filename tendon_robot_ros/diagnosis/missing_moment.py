@@ -34,7 +34,6 @@ class MissingMoment:
 
     blocks: tuple[str, ...]  # (B,) 'cells 1 to 5'
     bend: Floats  # (P, B) [rad] per cell that is missing; positive: the arm bends more
-    bend_sd: Floats  # (P, B) [rad]
     moment: Floats  # (P, B) [N·m] that would bend the described cells as much
     moment_sd: Floats  # (P, B) [N·m]
     total_tension: Floats  # (P, B) [N] sum of the tendons in the block
@@ -65,8 +64,7 @@ def missing_moment(
     predictor = Predictor(dataset, robot, catalogue)
     markers = predictor.markers({})
     shapes = equilibria(predictor)
-    if markers is None:  # equilibria has raised
-        return None
+    assert markers is not None  # `equilibria` has raised
     arm = _Arm(shapes, dataset)
     edges = blocks_of(robot, len(dataset.markers))
     below = robot.plate_cells
@@ -85,7 +83,6 @@ def missing_moment(
             for a, b in edges
         ),
         bend=bend,
-        bend_sd=spread,
         moment=stiffness * bend,
         moment_sd=stiffness * spread,
         total_tension=_means(shapes.tendon_tensions.sum(axis=2), edges),

@@ -216,18 +216,16 @@ def what_remains(diagnosis: Diagnosis) -> str:
     if not diagnosis.effects:
         random = 'not random, though it is only ' if little else ''
         return f'No known effect helps; the error is {random}{size}'
-    best = next((row for row in diagnosis.candidates if row.status == 'best'), None)
+    best = next(row for row in diagnosis.candidates if row.status == 'best')
     lowers = 'It lowers' if len(diagnosis.effects) == 1 else 'They lower'
     lowers += f' the error from {mm(before)} to {mm(after)}'
     text = f'Nearest: {findings(diagnosis)}. {lowers}, but '
     rival = diagnosis.details.get('rival')
-    if rival and best is not None and best.probability > P_SINGLE_MIN:
+    if rival and best.probability > P_SINGLE_MIN:
         name = rival['name']
         return f'{text}{PATTERNS.get(name, name)} fits better without any physics'
-    significance = ''
-    if best is not None:
-        p = best.probability
-        significance = ' (p < 1e-6)' if p < 1e-6 else f' (p = {digits(p, 1)})'
+    p = best.probability
+    significance = ' (p < 1e-6)' if p < 1e-6 else f' (p = {digits(p, 1)})'
     if little:
         return f'{text}what remains is not random{significance}, though it is only {size}'
     return f'{text}what remains is {size}{significance}'
