@@ -195,18 +195,16 @@ class OwnPublisher:
     """
 
     def __init__(self, node: Node, publisher: Publisher) -> None:
-        """Open the socket, on Linux."""
+        """Open the socket; where a sandbox refuses its name, the process stays unknown."""
         self._node, self._topic = node, publisher.topic_name
         self._names, self._checked_at = '', float('-inf')
         self.gid = gid_of(publisher)
-        self._socket: socket.socket | None = None
-        with contextlib.suppress(OSError):  # no Linux
-            listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            listener.bind(_socket_name(self.gid))
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        with contextlib.suppress(OSError):
+            self._socket.bind(_socket_name(self.gid))
             # the kernel answers a client, so that no connection is accepted. The queue is as long
             # as the kernel allows: one entry for each client since the start
-            listener.listen(socket.SOMAXCONN)
-            self._socket = listener
+            self._socket.listen(socket.SOMAXCONN)
 
     def others(self, now: float) -> str:
         """Return the other nodes that publish the topic, even before they send; '': none."""
@@ -222,6 +220,4 @@ class OwnPublisher:
 
     def close(self) -> None:
         """Close the socket."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        self._socket.close()
