@@ -324,8 +324,6 @@ class ChangeFinder:
 
     def suspects(self) -> tuple[Suspect, ...]:
         """Fit every change; return them by probability, the most likely first."""
-        if not self.postures:
-            return ()
         tensions, positions, frames = zip(*self.postures, strict=True)
         try:
             work = ChangeWork(self.arm, np.array(tensions), np.array(positions), frames)
