@@ -19,6 +19,6 @@ loading.py        loads a model while another one controls; a child process comp
 """
 
 from .core import ControllerCore
-from .inputs import Output, Refusal, Settings, Target, Twist
+from .inputs import Refusal, Settings, Target, Twist
 
-__all__ = ['ControllerCore', 'Output', 'Refusal', 'Settings', 'Target', 'Twist']
+__all__ = ['ControllerCore', 'Refusal', 'Settings', 'Target', 'Twist']

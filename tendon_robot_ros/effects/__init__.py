@@ -8,7 +8,7 @@ stage.py       where laws act: what a law takes there, and what it gives back
 
 from .catalogue import BUILT_IN, Catalogue, CatalogueLike, load_catalogue
 from .effect import Effect, Parameter
-from .stage import STAGES, Quantity, Stage
+from .stage import STAGES
 
 __all__ = [
     'BUILT_IN',
@@ -17,7 +17,5 @@ __all__ = [
     'CatalogueLike',
     'Effect',
     'Parameter',
-    'Quantity',
-    'Stage',
     'load_catalogue',
 ]
