@@ -117,6 +117,11 @@ def test_a_wrong_word_for_the_emulator_is_refused(kind):
                 line.obey(text)
 
 
+def test_a_spool_without_a_radius_is_refused(capsys):
+    assert main(['motors', 'emulate', 'dynamixel', '--robot', 'kato_10_1', '--spool', '0']) == 1
+    assert 'argument --spool: expected a number above 0, got 0' in capsys.readouterr().err
+
+
 MASSES = (0.5, 1.0, 2.0, 4.0)  # [kg]
 FEW = (0.5, 1.0, 4.0)  # [kg] tell a line, too
 

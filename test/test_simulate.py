@@ -246,6 +246,11 @@ def test_own_postures_and_gravity(tmp_path, capsys):
             'noise: position: expected a number from 0 to 0.1 [m], got',
         ),
         (['--noise', 'position=2e-4'], '--noise: position=0.0002 mm is no noise of a tracker; '),
+        (['--markers', '0'], '--markers: expected a whole number from 1 on, got 0'),
+        (
+            ['--hidden', 'gravity', '--gravity', '0,0,0'],
+            'hidden gravity: ROBOT does not say where down is; give --gravity 0,0,9.81',
+        ),
         (['--markers', '30,500'], 'markers: expected arc lengths from 0 to 0.208 m (the tip)'),
     ],
 )

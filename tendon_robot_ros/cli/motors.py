@@ -32,7 +32,7 @@ from ..emulator.port import Plug
 from ..emulator.rig import Arm, ElasticArm, HangingWeights, Rig, SpringArm, Wire
 from ..emulator.servo import Servo
 from ..robot import Robot, load_robot
-from .options import add_file, declare, emit
+from .options import add_file, declare, emit, positive
 
 if TYPE_CHECKING:
     from ..drivers.dynamixel.bus import Bus
@@ -357,7 +357,7 @@ class Emulate:
         what = 'kind of servo (default: %(default)s)'
         add('--servo', default='XL330-M077', choices=tuple(MODELS), help=what)
         what = 'its radius (default: the smallest that is not too coarse for the robot)'
-        add('--spool', type=float, metavar='MM', help=what)
+        add('--spool', type=positive, metavar='MM', help=what)
         add('--baudrate', type=int, default=1_000_000, choices=tuple(BAUD_RATES.values()))
         what = 'what the wires pull: the mock arm, springs, or weights to hang'
         add('--arm', default='plant', choices=ARMS, help=what)
@@ -411,8 +411,8 @@ def listen(obey: Callable[[str], str], ending: threading.Event, to_the_end: bool
 def emulated_servos(args: argparse.Namespace, robot: Robot) -> Emulated:
     """Return servos on a bus, one for every input."""
     many = range(1, len(robot.inputs) + 1)
-    typed = None if args.spool is None else args.spool / 1e3
-    radius = typed or dynamixel.smallest_spool(MODELS[args.servo], robot.tension_limits[1])
+    smallest = dynamixel.smallest_spool(MODELS[args.servo], robot.tension_limits[1])
+    radius = args.spool / 1e3 if args.spool else smallest
     servos = [Servo(MODELS[args.servo], i, args.baudrate) for i in many]
     line = EmulatedBus(Rig(servos, [Wire(i, radius) for i in many], _arm(args, robot)), args.port)
     config: dict[str, Any] = {

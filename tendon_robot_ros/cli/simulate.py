@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> None:
     if gravity := options.vector('--gravity', args.gravity or None):
         robot = replace(robot, gravity=(gravity[0], gravity[1], gravity[2]))
     hidden = hidden_effects(args.hidden)
-    if 'gravity' in hidden and robot.gravity is None:
+    if 'gravity' in hidden and not any(robot.gravity or ()):
         raise InputError(
             'hidden gravity: ROBOT does not say where down is; give --gravity 0,0,9.81'
         )
@@ -217,7 +217,7 @@ def simulated_noise(text: str) -> SimulatedNoise:
 def _markers(text: str | None, robot: Robot) -> tuple[Marker, ...] | None:
     if not text:
         return None
-    if text.isdigit() and int(text) > 0:
-        return even_markers(robot, int(text))
+    if text.isdigit():
+        return even_markers(robot, whole('--markers', int(text), 1))
     places = options.numbers('--markers', text, ',')
     return tuple(Marker(str(i + 1), 1e-3 * place) for i, place in enumerate(places))
