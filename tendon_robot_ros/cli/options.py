@@ -274,9 +274,12 @@ def load_measurements(
     ------
     DataSetError, RobotDescriptionError
         As `load_dataset` and `import_bag`.
+    InputError
+        Some are named twice.
 
     """
     given = [paths] if isinstance(paths, str) else paths
+    refuse_repeated(given)
     sets, show = [], listener(progress)
     for done, path in enumerate(given):
         show(f'reading {path}', done, len(given))
@@ -290,6 +293,16 @@ def load_measurements(
         sets.append(imported.dataset)
     dataset = join(sets)
     return dataset if robot is None else keep_frame_tolerances(dataset, given)
+
+
+def refuse_repeated(paths: Sequence[str]) -> None:
+    """Raise InputError where measurements are named twice."""
+    places = [Path(path).resolve() for path in paths]
+    for path, place in zip(paths, places, strict=True):
+        if places.count(place) > 1:
+            raise InputError(
+                f'{path}: is named twice; measurements count once, and check no fit to themselves'
+            )
 
 
 def keep_frame_tolerances(dataset: DataSet, paths: Sequence[str]) -> DataSet:
@@ -318,6 +331,7 @@ def load_judged(
     args: argparse.Namespace, show: Progress
 ) -> tuple[DataSet, DataSet | None, Catalogue]:
     """Read the measurements, those of --check with the same robot, and the catalogue."""
+    refuse_repeated([*args.data, *filter(None, [args.check])])
     dataset = load_measurements(args.data, args.robot, show)
     check = None if args.check is None else load_measurements(args.check, dataset.robot, show)
     return dataset, check, effects_of(args)
