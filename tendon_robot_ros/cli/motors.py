@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ..common.errors import InputError, MissingExtraError, choice, short
 from ..common.files import new_file, write_text
+from ..common.processes import handled_by
 from ..common.words import STANDARD_GRAVITY
 from ..common.yaml_reading import dump_yaml, read_yaml
 from ..drivers.dynamixel import config as dynamixel
@@ -372,20 +373,14 @@ class Emulate:
         emulated = emulated_servos if args.kind == 'dynamixel' else emulated_board
         plug, config, words = emulated(args, load_robot(args.robot))
         ending = threading.Event()
-        ends = (signal.SIGINT, signal.SIGTERM)
-        before = {number: signal.signal(number, lambda *_: ending.set()) for number in ends}
-        try:
-            with plug as line:
-                if args.output:
-                    write_text(args.output, f'# emulated: {words}\n{dump_yaml(config)}')
-                more = (line.obey, ending, args.ends_with_input)
-                threading.Thread(target=listen, args=more, daemon=True).start()
-                print(line.port, flush=True)  # who reads it gives all threads their priority
-                print(f'{words}; type help for faults', file=sys.stderr)
-                ending.wait()
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
+        with handled_by(lambda _: ending.set(), (signal.SIGINT, signal.SIGTERM)), plug as line:
+            if args.output:
+                write_text(args.output, f'# emulated: {words}\n{dump_yaml(config)}')
+            more = (line.obey, ending, args.ends_with_input)
+            threading.Thread(target=listen, args=more, daemon=True).start()
+            print(line.port, flush=True)  # who reads it gives all threads their priority
+            print(f'{words}; type help for faults', file=sys.stderr)
+            ending.wait()
 
 
 # port, configuration for the driver, description

@@ -192,6 +192,19 @@ def ending_signals() -> list[signal.Signals]:
 
 
 @contextmanager
+def handled_by(
+    handle: Callable[[int], object], signals: Sequence[signal.Signals]
+) -> Iterator[None]:
+    """Have a function called with the number of every one of some signals that comes."""
+    before = {one: signal.signal(one, lambda number, _: handle(number)) for one in signals}
+    try:
+        yield
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
+
+
+@contextmanager
 def ends_between() -> Iterator[Callable[[], None]]:
     """
     Have what asks this process to end wait for a good moment: what moves motors ends safe.
@@ -211,14 +224,8 @@ def ends_between() -> Iterator[Callable[[], None]]:
     if threading.current_thread() is not threading.main_thread():  # others hear no signals
         yield check
         return
-    before = {
-        one: signal.signal(one, lambda number, _: came.append(number)) for one in ending_signals()
-    }
-    try:
+    with handled_by(came.append, ending_signals()):
         yield check
-    finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
     check()
 
 
