@@ -273,11 +273,9 @@ def parse_pose_array(data: bytes) -> tuple[str, Floats]:
 def joints_of(message: Any, names: Sequence[str], kind: str) -> list[float]:
     """Return tensions [N] or pulls [m] of the named tendons of a JointState; NaN = missing."""
     field = 'position' if kind == 'displacement' else 'effort'
-    # a damaged recording may name the fields otherwise
-    every, values = (getattr(message, one, ()) for one in ('name', field))
-    places = {name: place for place, name in enumerate(every)}
-    columns = (places.get(name, len(values)) for name in names)
-    return [float(values[i]) if i < len(values) else float('nan') for i in columns]
+    # a damaged recording may name the fields otherwise, or hold fewer values than names
+    given = dict(zip(getattr(message, 'name', ()), getattr(message, field, ()), strict=False))
+    return [float(given.get(name, np.nan)) for name in names]
 
 
 BASES = ('', 'base', 'base_link', 'base_frame')  # and what ends with _base

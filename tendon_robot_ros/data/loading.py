@@ -17,6 +17,7 @@ import numpy as np
 from ..common.arrays import Floats, Ints
 from ..common.errors import DataSetError, place, refusal
 from ..common.files import new_file, shared_file
+from ..common.local_stop import SILENCE_S
 from ..common.words import listing
 from ..robot import Robot, RobotLike, load_robot, parse_robot
 from .arrays import PLAUSIBLE_FACTOR, Marker, default_markers, too_tense
@@ -27,10 +28,6 @@ from .folder import describe, read_fields, read_folder
 from .still_segments import ArmMotion, Rule, Segment, find_segments, never_still, segments_dataset
 from .tracker_faults import undo_exchanges, undo_renumbering, without_unseen_readings
 from .visits import join_visits
-
-# [s] after which a tendon state tells no longer what the inputs are, because drivers publish many
-# a second; of slower ones three of their intervals
-STATE_AGE_MAX_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -140,7 +137,8 @@ def import_bag(
 def _while_states_come(recording: Recording) -> tuple[Recording, list[str]]:
     """Exclude the markers while no tendon state comes: nothing tells what the inputs are."""
     intervals = np.diff(recording.state_times)
-    age_max = max(STATE_AGE_MAX_S, 3.0 * float(np.median(intervals))) if len(intervals) else np.inf
+    # drivers publish many states a second; of slower ones three of their intervals
+    age_max = max(SILENCE_S, 3.0 * float(np.median(intervals))) if len(intervals) else np.inf
     tracks, count = [], 0
     for track in recording.tracks:
         last = np.searchsorted(recording.state_times, track.times + 1e-9) - 1

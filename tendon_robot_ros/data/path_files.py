@@ -122,11 +122,8 @@ class Places:
     @classmethod
     def of(cls, samples: Sequence[tuple[float, Floats, Floats]]) -> Places:
         """Return samples (time, position, direction)."""
-        return cls(
-            np.array([time for time, _, _ in samples]),
-            np.array([place for _, place, _ in samples]).reshape(-1, 3),
-            np.array([view for _, _, view in samples]).reshape(-1, 3),
-        )
+        times, places, views = zip(*samples, strict=True) if samples else ((), (), ())
+        return cls(np.array(times), *(np.reshape(one, (-1, 3)) for one in (places, views)))
 
     def at(self, times: Floats) -> tuple[Floats, Floats]:
         """Return positions (n, 3) [m] and unit vectors (n, 3) at times (n,) [s]."""

@@ -131,8 +131,6 @@ class Recorder(ClientNode):
                     self._subscribe(topic, kinds[0], publishers)
 
         def write(text: str) -> None:
-            if self._robot_written:
-                return
             self._robot_written = True
             try:
                 self._write_text(bag_writer.ROBOT, dump_robot(load_robot(text)))
