@@ -12,6 +12,7 @@ import numpy as np
 from ..common.arrays import DIGITS, RESOLUTION, Floats, Ints
 from ..common.errors import DataSetError, short
 from ..robot import Robot
+from ..robot.estimates import same_input
 from .arrays import NO_ROTATION, VALUES_MAX, Marker, mean_inputs
 from .bag_reader import Recording
 from .dataset import READINGS, DataSet
@@ -35,9 +36,7 @@ class Rule:
 
     def fill(self, robot: Robot, kind: str) -> Rule:
         """Return the rule with a change of 1 % of the tension limit or 0.2 % of the length."""
-        if self.change is not None:
-            return self
-        change = 0.01 * robot.tension_limits[1] if kind == 'tension' else 0.002 * robot.length
+        change = same_input(robot, kind) if self.change is None else self.change
         return replace(self, change=change)
 
 

@@ -20,7 +20,7 @@ from ..common.errors import DataSetError, InputError, NoEquilibriumError
 from ..data import DataSet, Marker, default_markers
 from ..inference.statistics import RARE, chi2_isf, mean_over, rms
 from ..robot import Robot
-from ..robot.estimates import INPUT_TOLERANCE
+from ..robot.estimates import same_input
 
 if TYPE_CHECKING:
     from ..model.model import Model
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
 # [1] frames of the tracker in each half of a window, else their mean would hardly reduce noise
 FRAMES_PER_HALF_MIN = 4
-# [1] of the length: change of wire pulls between the halves of a window beyond which the arm
-# moves, because so much changes the tension by `INPUT_TOLERANCE`
-PULL_STILL = 0.002
 
 
 class History:
@@ -83,6 +80,16 @@ class History:
         """Return the mean over a closed interval [s], None without a sample in it."""
         samples = [values for at, values in self._samples if begin <= at <= end]
         return np.array(np.mean(samples, axis=0)) if samples else None
+
+    def averaged(self, still: StillMeasurement, kind: str) -> StillMeasurement:
+        """Return a measurement with the mean inputs of all states in its window, not frames."""
+        mean = self.mean(still.begin, still.end)
+        return still if mean is None else replace(still, inputs=self.inputs(mean, kind))
+
+    @staticmethod
+    def inputs(state: Floats, kind: str) -> Floats:
+        """Return the tensions (m,) [N], or the displacements (m,) [m], of a state, (2 m,)."""
+        return np.split(state, 2)[kind != 'tension']
 
 
 @dataclass(frozen=True)
@@ -248,10 +255,7 @@ class MonitorSettings:
 
 def still_window(robot: Robot, kind: str, settings: MonitorSettings) -> StillWindow:
     """Return a window for an arm that is moved by inputs of a kind: tension or displacement."""
-    change = INPUT_TOLERANCE * robot.tension_limits[1]
-    if kind == 'displacement':
-        change = PULL_STILL * robot.length
-    return StillWindow(settings.still_time, settings.still_speed, change)
+    return StillWindow(settings.still_time, settings.still_speed, same_input(robot, kind))
 
 
 @dataclass(frozen=True)
@@ -379,10 +383,9 @@ class Monitor:
         earlier = self.states.mean(time - 2.0 * span, time - span)
         if recent is None or earlier is None:
             return None
-        robot, m = self.model.robot, len(recent) // 2
-        high, length = robot.tension_limits[1], robot.length
-        scale = np.repeat([0.4 * INPUT_TOLERANCE * high, 0.5 * PULL_STILL * length], m)
-        change = np.abs(recent - earlier) / scale
+        robot = self.model.robot
+        scale = 0.4 * same_input(robot, 'tension'), 0.5 * same_input(robot, 'displacement')
+        change = np.abs(recent - earlier) / np.repeat(scale, len(recent) // 2)
         return recent if np.max(change[np.isfinite(change)], initial=0.0) <= 1.0 else None
 
     def _predict(self, tensions: Floats, pulls: Floats) -> Shape | None:
@@ -412,11 +415,7 @@ class Monitor:
         self.recorded.append(new)
 
     def _new(self, kind: str, last: StillMeasurement | None) -> StillMeasurement | None:
-        """
-        Return the measurement of an arm at rest; None without one, or still at the last posture.
-
-        Its inputs are the mean of all states in the window, not of its frames.
-        """
+        """Return a new measurement of an arm at rest; None without one, or at the last posture."""
         window = self._windows[kind]
         if (settled := window.settled()) is None:
             return None
@@ -424,7 +423,4 @@ class Monitor:
             moved = np.nan_to_num(np.abs(settled.inputs - last.inputs)).max()
             if moved < 2.0 * window.change:
                 return None
-        mean = self.states.mean(settled.begin, settled.end)
-        if mean is None:
-            return settled
-        return replace(settled, inputs=np.split(mean, 2)[kind != 'tension'])
+        return self.states.averaged(settled, kind)

@@ -17,6 +17,9 @@ BEND_MIN_RAD = 0.35
 # [1] of the largest input, to which load cells and the motors that follow them are known, because
 # usual ones are no better
 INPUT_TOLERANCE = 0.01
+# [1] of the length: wire pulls that differ by less are the same, because so much changes the
+# tension by `INPUT_TOLERANCE`
+PULL_TOLERANCE = 0.002
 # [N] a difference of tensions below is none, because it is below the noise of any load cell
 SAME_TENSION_N = 1e-3
 # ratio of two lengths beyond which one seems to be in mm and the other in m, because half of
@@ -36,6 +39,14 @@ NOISE_FACTOR = 3.0
 ROUNDING = 1e-12
 # [rad] 2°, to which a person sets up, or sees, a direction, because nobody is better by eye
 BY_EYE_RAD = math.radians(2.0)
+
+
+def same_input(robot: Robot, kind: str) -> float:
+    """Return the change [N] or [m] of an input, tension or displacement, that is none."""
+    fraction, largest = INPUT_TOLERANCE, robot.tension_limits[1]
+    if kind == 'displacement':
+        fraction, largest = PULL_TOLERANCE, robot.length
+    return fraction * largest
 
 
 def stiffnesses(robot: Robot) -> Floats:

@@ -20,7 +20,6 @@ import argparse
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -122,7 +121,7 @@ class RunningArm(Pilot):
                 return  # before the first command, or of another robot
             self._kinds.add('tension' if np.isfinite(tensions).all() else 'displacement')
             state = np.concatenate([tensions, pulls])
-            if np.isfinite(self._own_half(state)).all():
+            if np.isfinite(self._states.inputs(state, self.input)).all():
                 self._states.put(seconds(message.header.stamp), state)
 
         interface.subscribe(self, 'monitor/measured', frame, args.monitor, interface.STATE)
@@ -295,13 +294,11 @@ class RunningArm(Pilot):
                 if at < since or inputs is None or positions.shape[0] != len(self.markers):
                     continue
                 visible += bool(np.isfinite(positions).any())
-                window.put(at, self._own_half(inputs), positions)
+                window.put(at, self._states.inputs(inputs, self.input), positions)
             self._frames.clear()
             settled = window.settled()
             if settled is not None:
-                mean = self._states.mean(settled.begin, settled.end)
-                inputs = settled.inputs if mean is None else self._own_half(mean)
-                return replace(settled, inputs=inputs)
+                return self._states.averaged(settled, self.input)
         if not visible:
             raise BrokenMeasurementError(f'the tracker saw nothing for {REACTION_TIMEOUT_S:g} s')
         raise BrokenMeasurementError(f'the arm did not stand within {REACTION_TIMEOUT_S:g} s')
@@ -310,10 +307,6 @@ class RunningArm(Pilot):
     def _by_gears(self) -> bool:
         """Whether tensions are estimated from the current of geared motors."""
         return self.statuses[DRIVER].get('tension_source') == BY_GEARS
-
-    def _own_half(self, state: Floats) -> Floats:
-        """Return the tensions, or the wire pulls, of a state."""
-        return np.split(state, 2)[0 if self.input == 'tension' else 1]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -24,7 +24,7 @@ from ...monitoring.monitor import FrameMean, Monitor, StillMeasurement
 from ...monitoring.watch import ArmWatch, WatchSettings
 from ...report.sentences import load_words
 from ...robot import Robot, dump_robot
-from ...robot.estimates import INPUT_TOLERANCE, natural_sizes
+from ...robot.estimates import natural_sizes, same_input
 from ..shared import interface
 from ..shared.messages import contact_marker, header_now, vector
 from ..shared.parameters import ParameterNode, base_frame
@@ -49,8 +49,8 @@ class Watching:
         self.contact: Contact | None = None
         self._reaction = ''  # to the present contact
         self._exceeded = False  # by the last estimate: a single one may be wrong
-        noise, high = parameters['tracker_noise'], monitor.model.robot.tension_limits[1]
-        self._frames = FrameMean(noise, INPUT_TOLERANCE * high, parameters['force_time'])
+        noise, same = parameters['tracker_noise'], same_input(monitor.model.robot, 'tension')
+        self._frames = FrameMean(noise, same, parameters['force_time'])
         forces = 'monitor/tip_force', 'monitor/tip_force_covariance', 'monitor/contact'
         others = 'monitor/markers', 'monitor/drift', 'stop'
         self._send = interface.publishing(node, *forces, *others)
