@@ -15,8 +15,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import IntEnum
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
+
+if TYPE_CHECKING:
+    from subprocess import Popen
 
 PARENT = 'TENDON_ROBOT_ROS_PARENT'
 
@@ -31,6 +35,18 @@ class Linux(IntEnum):
 def child_environment() -> dict[str, str]:
     """Return the environment for a child that is to call `end_with_parent`."""
     return {**os.environ, 'PYTHONUNBUFFERED': '1', PARENT: str(os.getpid())}
+
+
+def own_process(module: str, *arguments: str, **streams: Any) -> Popen[str]:
+    """
+    Start a module of this package in a process of its own, with streams of text.
+
+    It ends with this one by `end_with_parent`; Ctrl-C reaches this one alone, which ends it.
+    """
+    from subprocess import Popen  # slow: a stop would wait for it
+
+    command = [sys.executable, '-m', module, *arguments]
+    return Popen(command, text=True, start_new_session=True, env=child_environment(), **streams)
 
 
 def end_with_parent(parent: int = 0, by: signal.Signals = signal.SIGINT) -> None:

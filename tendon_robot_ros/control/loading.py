@@ -18,9 +18,9 @@ from ..common.files import cache_folder
 from ..common.processes import (
     FIRST_NICENESS,
     ComputingThread,
-    child_environment,
     end_with_parent,
     go_with_others,
+    own_process,
 )
 from ..effects import Catalogue, load_catalogue
 from ..model.compile import kernel_key
@@ -125,14 +125,8 @@ class Loader:
 
     def _compile(self, robot: Robot) -> None:
         """Compile in the child process; raise its error."""
-        child = self._child = subprocess.Popen(
-            [sys.executable, '-m', __name__, *self._effects],
-            stdin=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-            env=child_environment(),
-        )  # Ctrl-C reaches the parent, which ends the child
+        pipe = subprocess.PIPE
+        child = self._child = own_process(__name__, *self._effects, stdin=pipe, stderr=pipe)
         if self._cancelled:
             child.kill()
         _, complaint = child.communicate(dump_robot(robot))

@@ -21,6 +21,7 @@ from typing import Any
 
 from ..common.errors import InputError, TendonRobotError
 from ..common.files import write_text
+from ..common.processes import end_with_parent, own_process
 from ..common.words import PROGRAM, listed, mm
 from ..diagnosis.verdict import Verdict
 
@@ -119,6 +120,7 @@ def _report(diagnosis: Any, path: Path, addition: Any = None, pictures: Any = No
 
 def main() -> int:
     """Run for the folder and the effect files in the arguments."""
+    end_with_parent()
     os.nice(NICENESS)
     try:
         work(Path(sys.argv[1]), sys.argv[2:])
@@ -159,14 +161,8 @@ class Work:
         lines: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         # a file takes any amount, a pipe does not; the reader closes it
         complaints = tempfile.TemporaryFile('w+')  # noqa: SIM115
-        child = subprocess.Popen(
-            [sys.executable, '-m', __name__, str(folder), *filter(None, effects)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=complaints,
-            text=True,
-            start_new_session=True,
-        )
+        streams = {'stdin': subprocess.DEVNULL, 'stdout': subprocess.PIPE, 'stderr': complaints}
+        child = own_process(__name__, str(folder), *filter(None, effects), **streams)
 
         def read() -> None:
             assert child.stdout is not None

@@ -325,15 +325,8 @@ class NodeProcess(contextlib.AbstractContextManager['NodeProcess']):
         """Start the process; it gets SIGINT when this one dies, however that happens."""
         arguments = [*own, *ros_arguments(parameters, namespace)]
         self.name = name
-        self.process = subprocess.Popen(
-            [sys.executable, '-m', 'tendon_robot_ros', name, *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=output,
-            text=True,
-            env=processes.child_environment(),
-            start_new_session=True,
-        )
+        streams = {'stdin': subprocess.DEVNULL, 'stdout': output, 'stderr': output}
+        self.process = processes.own_process('tendon_robot_ros', name, *arguments, **streams)
 
     def end(self, timeout: float = CALL_TIMEOUT_S) -> int:
         """Send SIGINT, wait, and kill the process after `timeout` [s]; return the exit code."""
