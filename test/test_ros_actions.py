@@ -226,6 +226,11 @@ class PoseFeedback:
 class Result:
     error_code: int = 0
     error_string: str = ''
+
+
+@dataclass
+class PoseResult:
+    error_code: int = 0
     error_msg: str = ''
 
 
@@ -281,7 +286,7 @@ def test_tolerances_are_of_wire_pulls(bench):
 
 
 def test_poses_are_read_with_or_without_a_direction(bench):
-    kind = actions.TipPoses(SimpleNamespace(Feedback=PoseFeedback, Result=Result))
+    kind = actions.TipPoses(SimpleNamespace(Feedback=PoseFeedback, Result=PoseResult))
     place = Point(x=0.06, z=0.17)
     header = Header(frame_id=BASE)
     free = PoseStamped(header=header, pose=Pose(position=place, orientation=Quaternion(w=0.0)))
@@ -296,7 +301,7 @@ def test_poses_are_read_with_or_without_a_direction(bench):
     told = kind.feedback(progress, header)
     assert (told.distance_remaining, told.number_of_poses_remaining) == (0.06, 2)
     assert told.current_pose.pose.position == Point(z=0.2)
-    assert kind.result(GoalOutcome('nearest', 'why')) == Result(1, '', 'why')
+    assert kind.result(GoalOutcome('nearest', 'why')) == PoseResult(1, 'why')
 
 
 @pytest.mark.parametrize(

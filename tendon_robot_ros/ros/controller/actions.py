@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from geometry_msgs.msg import PointStamped
@@ -27,10 +27,37 @@ from ..shared.messages import duration, header_now, pose_stamped, seconds, xyzw
 from ..shared.timing import VALUES_PERIOD_S
 from .topics import Incoming
 
-# error_code of a goal, by the code of its outcome ('': reached; None: any other), as in
-# docs/ros_nodes.md; those of nav2 itself begin at 100
-ERROR_CODES: dict[str, dict[str | None, int]] = {
-    'control_msgs': {
+
+class Converter:
+    """
+    Converts the messages of an action; a subclass has `goal` and `feedback`, too.
+
+    Attributes
+    ----------
+    codes : dict
+        error_code of a goal, by the code of its outcome ('': reached; None: any other), as in
+        docs/ros_nodes.md.
+
+    """
+
+    codes: ClassVar[dict[str | None, int]]
+
+    def __init__(self, kind: Any) -> None:
+        """Keep the type."""
+        self.type = kind
+
+    def result(self, outcome: GoalOutcome) -> Any:
+        """Return the result message of a goal."""
+        message, why = self.type.Result(), outcome.message
+        code = self.codes.get(outcome.code, self.codes[None])
+        _fill(message, error_code=code, error_string=why, error_msg=why)
+        return message
+
+
+class TendonTrajectory(Converter):
+    """control_msgs/FollowJointTrajectory: tensions [N] in `effort`, or wire pulls [m]."""
+
+    codes: ClassVar = {
         None: -1,  # INVALID_GOAL
         '': 0,
         'canceled': 0,  # the status of the goal has it, as with joint_trajectory_controller
@@ -38,18 +65,7 @@ ERROR_CODES: dict[str, dict[str | None, int]] = {
         'stale': -3,  # OLD_HEADER_TIMESTAMP
         'path_tolerance': -4,  # PATH_TOLERANCE_VIOLATED
         'goal_tolerance': -5,  # GOAL_TOLERANCE_VIOLATED
-    },
-    'nav2_msgs': {None: 3, '': 0, 'nearest': 1, 'at_limit': 1, 'ended': 2, 'canceled': 2},
-}
-
-
-class TendonTrajectory:
-    """control_msgs/FollowJointTrajectory: tensions [N] in `effort`, or wire pulls [m]."""
-
-    def __init__(self, kind: Any) -> None:
-        """Keep the type."""
-        self.type, self._pull = kind, False
-        self._inputs: tuple[str, ...] = ()
+    }
 
     def goal(self, request: Any, incoming: Incoming, stamp: str) -> MotionGoal:
         """Return the goal of a request; Refusal: it is invalid."""
@@ -95,23 +111,16 @@ class TendonTrajectory:
         header = Header(stamp=header.stamp)  # joints have no frame
         return self.type.Feedback(header=header, joint_names=list(self._inputs), **points)
 
-    def result(self, outcome: GoalOutcome) -> Any:
-        """Return the result message of a goal."""
-        codes = ERROR_CODES['control_msgs']
-        code = codes.get(outcome.code, codes[None])
-        return self.type.Result(error_code=code, error_string=outcome.message)
 
-
-class TipPoses:
+class TipPoses(Converter):
     """
     nav2_msgs/NavigateToPose and NavigateThroughPoses: poses of the tip, each to be reached.
 
     An orientation of zeros requests a position alone.
     """
 
-    def __init__(self, kind: Any) -> None:
-        """Keep the type."""
-        self.type = kind
+    # those of nav2 itself begin at 100
+    codes: ClassVar = {None: 3, '': 0, 'nearest': 1, 'at_limit': 1, 'ended': 2, 'canceled': 2}
 
     def goal(self, request: Any, incoming: Incoming, stamp: str) -> MotionGoal:
         """Return the goal of a request; Refusal: it is invalid."""
@@ -140,13 +149,6 @@ class TipPoses:
         if progress.tip is not None and progress.frame is not None:
             message.current_pose = pose_stamped(header, progress.tip, progress.frame)
         _fill(message, number_of_poses_remaining=progress.steps_remaining)
-        return message
-
-    def result(self, outcome: GoalOutcome) -> Any:
-        """Return the result message of a goal."""
-        message, codes = self.type.Result(), ERROR_CODES['nav2_msgs']
-        code = codes.get(outcome.code, codes[None])
-        _fill(message, error_code=code, error_msg=outcome.message)
         return message
 
 
