@@ -113,10 +113,9 @@ WRONG = [
 @needs_compiler
 @pytest.mark.parametrize(('change', 'words'), WRONG)
 def test_a_wrong_configuration_is_refused_with_file_and_key(change, words):
-    line = emulated_board.board()
-    with pytest.raises(DriverError, match=f'board.yaml: {words}'):
+    refused = pytest.raises(DriverError, match=f'board.yaml: {words}')
+    with emulated_board.board() as line, refused:
         emulated_board.driver_for(line, **change)
-    line.stop()
 
 
 @needs_compiler

@@ -63,7 +63,7 @@ class Plug(abc.ABC):
 
     def __init__(self, name: str, port: str | None = None, idle: float = 0.005) -> None:
         """
-        Plug it in; `start` begins to answer.
+        Plug it in; it answers within its context.
 
         Parameters
         ----------
@@ -86,7 +86,6 @@ class Plug(abc.ABC):
         self._lock = threading.Lock()
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._serve, name=f'emulated {name}', daemon=True)
-        self._before = time.monotonic()
         self.plug()
 
     @property
@@ -139,27 +138,18 @@ class Plug(abc.ABC):
         except (ValueError, IndexError, KeyError) as error:
             raise InputError(f'{text!r}: {error}; type help') from None
 
-    def start(self) -> Self:
+    def __enter__(self) -> Self:
         """Answer from now on, in a thread of its own."""
         self._before = time.monotonic()
         self._thread.start()
         return self
 
-    def stop(self) -> None:
+    def __exit__(self, *_: object) -> None:
         """End the thread and take the port away."""
         self._end.set()
-        if self._thread.is_alive():
-            self._thread.join()
+        self._thread.join()
         self.unplug()
         shutil.rmtree(self._folder, ignore_errors=True)
-
-    def __enter__(self) -> Self:
-        """Start."""
-        return self.start()
-
-    def __exit__(self, *_: object) -> None:
-        """Stop."""
-        self.stop()
 
     def plug(self) -> None:
         """Make the port appear; the electronics kept their power."""
