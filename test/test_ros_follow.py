@@ -1,5 +1,7 @@
 """follow and go-to as a user runs them, against controller and mock driver."""
 
+import json
+
 import numpy as np
 import processes
 import pytest
@@ -124,6 +126,15 @@ def test_regions_hold_on_the_way_to_a_path_and_for_the_controller(station, tmp_p
     assert min(np.hypot(at.x - 0.05, at.z - 0.17) for at in away) > 0.0095
     assert station.text('controller', 'keep_out') == post
     assert station.set('controller', 'keep_out', '').successful
+
+
+def test_with_json_nothing_else_is_on_stdout(station, tmp_path):
+    (tmp_path / 'tensions.csv').write_text(f'time,{",".join(INPUTS)}\n0,0.5,0.1,0.1,0.5\n')
+    done = command(station, tmp_path, 'follow', 'tensions.csv', '--json', '--retreat')
+    assert json.loads(done.stdout)['picture'] == 'follow.png'
+    assert done.stderr.splitlines() == [
+        '1 rows of tensions, 0.0 s', 'retreated by the way flown'
+    ]  # fmt: skip
 
 
 def test_tensions_from_a_file_are_played(station, tmp_path):

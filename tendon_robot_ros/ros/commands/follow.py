@@ -190,13 +190,14 @@ def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) 
     requested = float(path.times[-1])
     timed = rows.times is not None and planned.duration > requested + 0.01
     note = f' instead of {requested:.1f} s, to keep the limits' if timed else ''
-    print(f'{len(path.rows)} rows, {1e3 * length:.0f} mm of path, {planned.duration:.1f} s{note}')
+    size = f'{len(path.rows)} rows, {1e3 * length:.0f} mm of path'
+    narrate(options, f'{size}, {planned.duration:.1f} s{note}')
     if problem := planned.out_of_reach():
         if not (options.anyway or options.plan):
             raise InputError(f'{options.path}: {problem}; nothing moved (--anyway would)')
-        print(problem)
+        narrate(options, problem)
     elif detour := planned.detour():
-        print(detour)
+        narrate(options, detour)
     if regions and not options.anyway:
         current = _commanded_shape(pilot, model)
         change = float(np.abs(planned.tensions[0] - current.inputs).max())
@@ -205,7 +206,7 @@ def _tips(pilot: Pilot, rows: TipRows, options: argparse.Namespace, pace: Pace) 
         if problem := _entry(model, current, played, regions, False):
             if not options.plan:
                 raise InputError(f'{options.path}: {problem}')
-            print(problem)
+            narrate(options, problem)
     if options.plan:
         return None
     with pilot.keeping_out(text_of(options.keep_out)) if regions else nullcontext():
@@ -218,8 +219,9 @@ def _tendons(
     times, values = rows.times, rows.values
     if options.backwards:
         times, values = times[-1] - times[::-1], values[::-1]
-    print(f'{len(times)} rows of {"wire pulls" if pilot.pull else "tensions"}, {times[-1]:.1f} s')
-    rate, current = pace.pull if pilot.pull else pace.tension, pilot.commands()[1][-1]
+    what, rate = ('wire pulls', pace.pull) if pilot.pull else ('tensions', pace.tension)
+    narrate(options, f'{len(times)} rows of {what}, {times[-1]:.1f} s')
+    current = pilot.commands()[1][-1]
     # the move to the first row, which does not jump, then the rows, slower where they would exceed
     # the rate
     times = max(float(np.abs(values[0] - current).max()) / rate, CYCLE_MAX_S) + stretched(
