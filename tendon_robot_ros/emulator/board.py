@@ -263,7 +263,7 @@ class EmulatedBoard(Plug):
     rig: BoardRig
 
     def __init__(self, rig: BoardRig, port: str | None = None) -> None:
-        """Plug it in; `start` starts its clock."""
+        """Plug it in; its clock starts with its context."""
         self.rig = rig
         self.deaf = False
         super().__init__('board', port, idle=2.0 * STEP_S)

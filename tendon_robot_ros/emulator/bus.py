@@ -224,7 +224,7 @@ class EmulatedBus(Plug):
     rig: Rig
 
     def __init__(self, rig: Rig, port: str | None = None) -> None:
-        """Plug it in, at a path of its own if none is given; `start` begins to answer."""
+        """Plug it in, at a path of its own if none is given."""
         self.rig = rig
         self.silent: set[int] = set()
         self.accepted: deque[tuple[float, int, str, int]] = deque(maxlen=LOG_MAX)
