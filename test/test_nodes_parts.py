@@ -549,7 +549,7 @@ def test_a_file_of_the_tendons_is_refused_whose_way_enters_a_region(tmp_path, mo
     played = []
     monkeypatch.setattr(follow, 'run_tendons', lambda _, when, values: played.append(when))
     options = SimpleNamespace(
-        path='wires.csv', backwards=False, plan=False, keep_out=str(room), anyway=False
+        path='wires.csv', backwards=False, plan=False, keep_out=str(room), anyway=False, json=None
     )
     outside = TendonRows(np.array([0.0, 1.0]), rows[:2])
     follow._tendons(pilot, outside, options, Pace())
