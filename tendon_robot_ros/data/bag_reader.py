@@ -217,8 +217,9 @@ def stored(reader: Any, topics: Iterable[str]) -> Iterator[tuple[str, int, Any]]
     # without any connection, all messages would come
     for connection, time, data in reader.messages(connections) if connections else ():
         kind = connection.msgtype
-        message = parse_pose_array(data) if kind == POSE_ARRAY else reader.deserialize(data, kind)
-        yield connection.topic, time, poses_of(message) if kind == POSE_STAMPED else message
+        message = reader.deserialize(data, kind)
+        are_poses = kind in (POSE_STAMPED, POSE_ARRAY)
+        yield connection.topic, time, poses_of(message) if are_poses else message
 
 
 def _track(bag: str, times: Floats, samples: Sequence[tuple[int, tuple[str, Floats]]]) -> Track:
@@ -237,37 +238,11 @@ def _sane(values: Floats) -> Floats:
 
 
 def poses_of(message: Any) -> tuple[str, Floats]:
-    """Take the frame and x, y, z [m], qx, qy, qz, qw of a PoseStamped, (1, 7)."""
-    p, q = message.pose.position, message.pose.orientation
-    return message.header.frame_id, np.array([[p.x, p.y, p.z, q.x, q.y, q.z, q.w]])
-
-
-def parse_pose_array(data: bytes) -> tuple[str, Floats]:
-    """
-    Take the frame and the poses (J, 7) from the bytes of a PoseArray.
-
-    Ten minutes of thirty markers at 100 Hz are two million poses: as objects they take half a
-    minute, so that the one message that holds many numbers is read here.
-
-    Raises
-    ------
-    ValueError
-        The bytes are no PoseArray.
-
-    """
-    order = '<' if data[1] == 1 else '>'  # CDR: four bytes of encoding, then aligned fields
-    body = memoryview(data)[4:]
-
-    def count(place: int) -> int:
-        return int(np.frombuffer(body, f'{order}u4', 1, place)[0])
-
-    size = count(8)  # after the stamp
-    frame = bytes(body[12 : 12 + size]).rstrip(b'\0').decode()
-    place = -(-(12 + size) // 4) * 4
-    number = count(place)
-    place = -(-(place + 4) // 8) * 8
-    values = np.frombuffer(body, f'{order}f8', 7 * number, place) if number else np.zeros(0)
-    return frame, values.reshape(number, 7).astype(float)
+    """Return the frame and x, y, z [m], qx, qy, qz, qw (J, 7) of a PoseStamped or PoseArray."""
+    poses = message.poses if hasattr(message, 'poses') else [message.pose]
+    both = ((one.position, one.orientation) for one in poses)
+    rows = [[p.x, p.y, p.z, q.x, q.y, q.z, q.w] for p, q in both]
+    return message.header.frame_id, np.array(rows, dtype=float).reshape(-1, 7)
 
 
 def joints_of(message: Any, names: Sequence[str], kind: str) -> list[float]:
