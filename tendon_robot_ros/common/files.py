@@ -20,6 +20,7 @@ TABLE_ENDINGS = (*TEXT_ENDINGS, '.parquet', '.c3d')  # of laboratories
 YAML_ENDINGS = ('.yaml', '.yml')
 PICTURE_ENDINGS = ('.png', '.svg', '.pdf')
 PACKAGE = 'tendon_robot_ros'
+PATH_MAX = os.pathconf(os.sep, 'PC_PATH_MAX')  # [1] characters; a longer text is no path
 DRAFT = '.tmp-'  # how the names of folders begin in which something is made
 
 
@@ -46,6 +47,19 @@ def read_text(
     if '\0' in text:
         raise refuse('not a text file')
     return text
+
+
+def named_file(text: str, folder: str = '') -> Path | None:
+    """
+    Return the file that a text names, None where the text is YAML itself.
+
+    It names one by its path, or by its name where it is shipped in a folder of config/.
+    """
+    if not text.strip() or '\n' in text or ': ' in text or len(text) > PATH_MAX:
+        return None
+    path = Path(text)
+    shipped = None if path.is_file() else shared_file(f'config/{folder}/{text}.yaml')
+    return shipped or path
 
 
 @contextmanager

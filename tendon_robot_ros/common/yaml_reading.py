@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, get_origin, get_type_hints
 
 import yaml
 
@@ -103,6 +103,19 @@ class Reader:
             return RobotDescriptionError(self.source, where, expected, got)
         return self.refusal(f'{self.source}: {where}: expected {expected}, got {short(got)}')
 
+    def read[Part](self, kind: type[Part]) -> Part:
+        """Return a dataclass of this mapping, whose keys are its annotated fields."""
+        self.only(*_readers(kind))
+        return kind(**self.fields(kind))
+
+    def fields(self, kind: type) -> dict[str, Any]:
+        """Return the annotated fields of a dataclass; one that is not here has its default."""
+        return {
+            name: read(self, name)
+            for name, read in _readers(kind).items()
+            if self.has(name) or not hasattr(kind, name)
+        }
+
     def has(self, key: str) -> bool:
         """Return whether a key is present and not empty."""
         return self.content.get(key) is not None
@@ -156,17 +169,26 @@ class Reader:
             raise self.error(key, 'true or false', value)
         return value
 
-    def whole(self, key: str, low: int, high: int) -> int:
+    def whole(self, key: str, low: int, high: int, default: int | None = None) -> int:
         """Return a whole number within bounds."""
         value = self.content.get(key)
+        if value is None and default is not None:
+            return default
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
             raise self.error(key, f'a whole number from {low} to {high}', value)
         return value
 
     def number(
-        self, key: str, low: float = -math.inf, high: float = math.inf, unit: str = '1'
+        self,
+        key: str,
+        low: float = -math.inf,
+        high: float = math.inf,
+        unit: str = '1',
+        default: float | None = None,
     ) -> float:
         """Return a finite number within bounds."""
+        if default is not None and not self.has(key):
+            return default
         return self._number(key, self.content.get(key), low, high, unit)
 
     def length(self, key: str) -> float:
@@ -250,6 +272,28 @@ class ConfigFields(Reader):
 
     refusal = DriverError
 
-    def value(self, key: str, default: float, low: float, high: float, unit: str) -> float:
-        """Return a number, or the default when absent."""
-        return self.number(key, low, high, unit) if self.has(key) else default
+
+# How a field of a dataclass is read stands in its annotation, beside its default:
+#     rate: Annotated[float, in_range(0.1, 1000.0, 'Hz')] = 30.0
+Read = Callable[[Any, str], Any]  # of a reader and the key
+
+
+def _readers(kind: type) -> dict[str, Read]:
+    """Return how each annotated field of a dataclass is read."""
+    hints = get_type_hints(kind, include_extras=True).items()
+    return {name: hint.__metadata__[0] for name, hint in hints if get_origin(hint) is Annotated}
+
+
+def in_range(low: float, high: float, unit: str) -> Read:
+    """Return how a number within bounds is read."""
+    return lambda one, key: one.number(key, low, high, unit)
+
+
+def one_of(*known: str) -> Read:
+    """Return how one of the known words is read."""
+    return lambda one, key: one.choice(key, known)
+
+
+def part(kind: type) -> Read:
+    """Return how the keys of a dataclass are read."""
+    return lambda one, key: one.child(key).read(kind)

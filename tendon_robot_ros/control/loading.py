@@ -26,7 +26,6 @@ from ..effects import Catalogue, load_catalogue
 from ..model.compile import kernel_key
 from ..model.model import Model
 from ..robot import Robot, dump_robot, parse_robot
-from .inputs import check_inputs
 
 
 def load(robot: Robot, catalogue: Catalogue) -> Model:
@@ -53,7 +52,7 @@ class Loader:
     """Reads a description, compiles it in a child process and loads the model; poll `done`."""
 
     def __init__(
-        self, read: Callable[[], Robot], effects: Sequence[str], inputs: tuple[str, ...] = ()
+        self, read: Callable[[], Robot], effects: Sequence[str], gently: bool = False
     ) -> None:
         """
         Start in a thread; `result` raises its errors.
@@ -64,12 +63,11 @@ class Loader:
             Returns the robot; it may take long.
         effects : sequence of str
             Paths of the user's own effects.
-        inputs : tuple of str
-            Inputs of the model in use, which the new one must have, too. Loading then has a lower
-            priority.
+        gently : bool
+            With a lower priority, because another model is in use.
 
         """
-        self._read, self._effects, self._inputs = read, effects, inputs
+        self._read, self._effects, self._gently = read, effects, gently
         self._child: subprocess.Popen[str] | None = None
         self._cancelled = False
         self.doing = 'loading'  # then perhaps 'compiling', then 'building'
@@ -102,7 +100,7 @@ class Loader:
             self._child.wait()
 
     def _load(self) -> None:
-        if self._inputs:  # the priority of this thread, which its child inherits (Linux)
+        if self._gently:  # the priority of this thread, which its child inherits (Linux)
             with contextlib.suppress(OSError):
                 os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), -FIRST_NICENESS)
         try:
@@ -111,10 +109,7 @@ class Loader:
             self._loading.set_exception(error)
 
     def _make(self) -> Model:
-        robot = self._read()
-        if self._inputs:
-            check_inputs(robot.inputs, self._inputs)
-        catalogue = load_catalogue(self._effects)
+        robot, catalogue = self._read(), load_catalogue(self._effects)
         for name in robot.effects:
             catalogue[name]
         if not compiled_mark(catalogue).is_file():

@@ -18,7 +18,7 @@ from ..common.words import PROGRAM, STANDARD_GRAVITY
 from ..common.yaml_reading import Reader, dump_yaml, parse_yaml
 from ..robot import Robot, dump_robot, load_robot
 from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, Marker, default_markers
-from .dataset import INPUTS, PATHS, DataSet, HasDataSet, as_dataset
+from .dataset import INPUTS, LIMITS, PATHS, DataSet, HasDataSet, as_dataset
 from .measurement_files import KEYS, ORIGIN, VISIT, Commands, read_shapes
 
 DESCRIPTION_KEYS = (
@@ -138,8 +138,8 @@ def describe(fields: DatasetFields, robot: Robot) -> dict[str, Any]:
         'path': fields.choice('path', PATHS, default='from_straight'),
         'gravity': gravity,
         'position_noise': fields.distance('position_noise', robot.length / 10),
-        'setting_noise': noise.number('setting', 0.0, 0.5) if noise.has('setting') else 0.0,
-        'trial_noise': noise.number('trial', 0.0, 0.5) if noise.has('trial') else 0.0,
+        'setting_noise': noise.number('setting', 0.0, *LIMITS['setting_noise'], 0.0),
+        'trial_noise': noise.number('trial', 0.0, *LIMITS['trial_noise'], 0.0),
         'accuracy': fields.distance('accuracy', robot.length),
         'known': known,
         'markers': _markers(fields, robot) if fields.has('markers') else None,

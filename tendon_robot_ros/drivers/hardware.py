@@ -12,13 +12,13 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from ..common.arrays import Bools, Floats
 from ..common.errors import DriverError, TendonRobotError
-from ..common.yaml_reading import ConfigFields, read_yaml
+from ..common.yaml_reading import ConfigFields, in_range, read_yaml
 from ..robot import Robot
 from .interface import Driver
 from .safety import CYCLE_MAX_S, STOP_TIME_MIN_S, approach, bounded
@@ -169,7 +169,7 @@ def nearest(item: ConfigFields, top: ConfigFields, key: str) -> ConfigFields:
     return item if item.has(key) else top
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PortConfig:
     """What the configuration of every driver on a serial port holds, by the keys of its file."""
 
@@ -177,14 +177,14 @@ class PortConfig:
     baudrate: int  # [1/s]
     zero: str  # 'find' slack at enabling, or 'here': pull 0 is where the wires are
     home_tension: float  # [N] of the search for slack
-    home_travel: float  # [m] that it may wind
+    home_travel: Annotated[float, in_range(1e-4, 1.0, 'm')] = 0.05  # that it may wind
 
 
 def read_port_config(
     top: ConfigFields, robot: Robot, mode: str, known: tuple[int, ...], slack: float
 ) -> dict[str, Any]:
     """
-    Return the fields of `PortConfig`.
+    Return the fields of `PortConfig` that depend on the robot, the mode or the kind of motor.
 
     Parameters
     ----------
@@ -208,8 +208,7 @@ def read_port_config(
         'port': port,
         'baudrate': int(baudrate),
         'zero': top.choice('zero', ('find', 'here'), 'find' if mode == 'pull' else 'here'),
-        'home_tension': top.value('home_tension', max(low, slack * high), 1e-6, high, 'N'),
-        'home_travel': top.value('home_travel', 0.05, 1e-4, 1.0, 'm'),
+        'home_tension': top.number('home_tension', 1e-6, high, 'N', max(low, slack * high)),
     }
 
 
@@ -266,7 +265,7 @@ def read_wire_limits(
     pull_limits = -PULL_MAX_M, PULL_MAX_M
     if limited.has('pull_limits') or mode == 'pull':
         pull_limits = read_pull_limits(limited)
-    tension_limit = item.value('tension_limit', high, low + 1e-6, high, 'N')
+    tension_limit = item.number('tension_limit', low + 1e-6, high, 'N', high)
     return {'tension_limit': tension_limit, 'pull_limits': pull_limits}
 
 

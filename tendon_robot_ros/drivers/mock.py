@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Annotated, Any, Self
 
 import numpy as np
 
 from ..common.arrays import Bools, Floats
 from ..common.errors import DriverError, TendonRobotError
-from ..common.yaml_reading import ConfigFields
+from ..common.yaml_reading import ConfigFields, in_range, one_of
 from ..robot import Robot
 from .hardware import HardwareDriver
 from .interface import Fault, Reading
@@ -30,24 +30,13 @@ FAULTS = {
 class MockConfig:
     """Configuration of a mock."""
 
-    lag: float = 0.02  # [s] first-order, of motor and arm
-    tension_noise: float = 0.0  # [N] 1 sd
-    pull_noise: float = 0.0  # [m] 1 sd
-    tension_source: str = 'load_cell'
-    seed: int = 0
-
-    @classmethod
-    def checked(cls, config: Mapping[str, Any], source: str) -> Self:
-        """Read a mapping; unknown keys and impossible values are refused."""
-        top = ConfigFields(source, '', dict(config))
-        top.only(*(field.name for field in fields(cls)))
-        return cls(
-            lag=top.value('lag', cls.lag, 0.0, 10.0, 's'),
-            tension_noise=top.value('tension_noise', cls.tension_noise, 0.0, 10.0, 'N'),
-            pull_noise=top.value('pull_noise', cls.pull_noise, 0.0, 10.0, 'm'),
-            tension_source=top.choice('tension_source', ('load_cell', 'command'), 'load_cell'),
-            seed=top.whole('seed', 0, 2**32 - 1) if top.has('seed') else cls.seed,
-        )
+    # first-order, of motor and arm
+    lag: Annotated[float, in_range(0.0, 10.0, 's')] = 0.02
+    # 1 sd of each
+    tension_noise: Annotated[float, in_range(0.0, 10.0, 'N')] = 0.0
+    pull_noise: Annotated[float, in_range(0.0, 10.0, 'm')] = 0.0
+    tension_source: Annotated[str, one_of('load_cell', 'command')] = 'load_cell'
+    seed: Annotated[int, lambda one, key: one.whole(key, 0, 2**32 - 1)] = 0
 
 
 class MockDriver(HardwareDriver):
@@ -83,7 +72,7 @@ class MockDriver(HardwareDriver):
         cls, robot: Robot, config: Mapping[str, Any], *, mode: str, source: str, plant: Any
     ) -> Self:
         """Make the driver from its configuration."""
-        return cls(robot, plant, MockConfig.checked(config, source), mode)
+        return cls(robot, plant, ConfigFields(source, '', dict(config)).read(MockConfig), mode)
 
     def open(self) -> None:
         """Read the plant once."""

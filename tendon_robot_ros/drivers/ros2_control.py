@@ -11,18 +11,22 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import compress
-from typing import Any, NamedTuple, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import DriverError
-from ..common.yaml_reading import ConfigFields
+from ..common.yaml_reading import ConfigFields, in_range, one_of
 from ..robot import Robot
 from . import hardware
 from .interface import Fault, Reading
 
 PULL_DEFAULT_M = 0.05  # [m] either way without `pull_limits`, else nothing would bound a pull
+
+
+# here, because a function within an annotation does not see the names of this module
+PullLimits = Annotated[tuple[float, float], lambda one, _: hardware.read_pull_limits(one, 10.0)]
 
 
 class Joint(NamedTuple):
@@ -34,18 +38,18 @@ class Joint(NamedTuple):
     zero: float  # [rad] or [m], position of the joint at zero pull
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Ros2ControlConfig:
     """Checked configuration of the driver, by the keys of its file."""
 
     command_topic: str
     state_topic: str
     joints: tuple[str, ...]  # as the group controller lists them
-    timeout: float  # [s] of silence of a joint
-    tension_source: str
-    tension_rate: float  # [N/s]
-    pull_rate: float  # [m/s]
-    pull_limits: tuple[float, float]  # [m]
+    timeout: Annotated[float, in_range(0.005, 10.0, 's')] = 0.1  # of silence of a joint
+    tension_source: Annotated[str, one_of('load_cell', 'current')] = 'current'
+    tension_rate: Annotated[float, in_range(0.01, 1000.0, 'N/s')] = 20.0
+    pull_rate: Annotated[float, in_range(1e-5, 10.0, 'm/s')] = 0.05
+    pull_limits: PullLimits = (-PULL_DEFAULT_M, PULL_DEFAULT_M)  # [m]
     tendons: tuple[Joint, ...]  # of every input
 
     @classmethod
@@ -62,7 +66,7 @@ class Ros2ControlConfig:
                     item.name('joint'),
                     hardware.read_spool_radius(item, top) if rolled else 1.0,
                     hardware.read_direction(item, 'growing positions wind'),
-                    item.value('zero', 0.0, -1e6, 1e6, 'rad or m'),
+                    item.number('zero', -1e6, 1e6, 'rad or m', 0.0),
                 )
             )
         names, joints = [tendon.joint for tendon in tendons], top.content.get('joints')
@@ -71,17 +75,14 @@ class Ros2ControlConfig:
             expected = f'the joints of the tendons, {", ".join(names)}, as the controller has them'
             raise top.error('joints', expected, joints)
         kind = 'effort' if mode == 'tension' else 'position'
-        limited = top.has('pull_limits')
         return cls(
-            str(top.content.get('command_topic') or f'{kind}_group_controller/commands'),
-            str(top.content.get('state_topic') or '/joint_states'),
-            tuple(map(str, joints)),
-            top.value('timeout', 0.1, 0.005, 10.0, 's'),
-            top.choice('tension_source', ('load_cell', 'current'), 'current'),
-            top.value('tension_rate', 20.0, 0.01, 1000.0, 'N/s'),
-            top.value('pull_rate', 0.05, 1e-5, 10.0, 'm/s'),
-            hardware.read_pull_limits(top, 10.0) if limited else (-PULL_DEFAULT_M, PULL_DEFAULT_M),
-            tuple(tendons),
+            command_topic=str(
+                top.content.get('command_topic') or f'{kind}_group_controller/commands'
+            ),
+            state_topic=str(top.content.get('state_topic') or '/joint_states'),
+            joints=tuple(map(str, joints)),
+            tendons=tuple(tendons),
+            **top.fields(cls),
         )
 
 

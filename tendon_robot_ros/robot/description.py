@@ -302,7 +302,7 @@ def _route(item: Reader, sections: tuple[Section, ...]) -> dict[str, Any]:
     end = route.offset('end') if route.has('end') or not route.has('helix') else base
     # a quarter of a turn in one cell at most, because a tendon is straight within a cell
     helix_max = 0.5 * math.pi / max(section.cell_length for section in sections)
-    helix = route.number('helix', -helix_max, helix_max, 'rad/m') if route.has('helix') else 0.0
+    helix = route.number('helix', -helix_max, helix_max, 'rad/m', 0.0)
     return {'base': base, 'end': end, 'helix': helix}
 
 

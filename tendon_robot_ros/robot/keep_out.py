@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,20 +22,44 @@ import yaml
 
 from ..common.arrays import Floats
 from ..common.errors import InputError
-from ..common.files import read_text
+from ..common.files import named_file, read_text
 from ..common.rotations import from_rotation_vector
 from ..common.words import FAR_M
-from ..common.yaml_reading import Reader, parse_yaml
+from ..common.yaml_reading import Reader, in_range, parse_yaml
 
 TEXT_MAX = 20_000  # [1] characters, because it is read while the arm is commanded
-KINDS = 'plane', 'sphere', 'box'
+Vector = tuple[float, float, float]
 
 
-class Plane(NamedTuple):
+def _place(one: Reader, key: str, limit: float = FAR_M) -> Vector:
+    x, y, z = one.vector(key, 3)
+    if max(abs(x), abs(y), abs(z)) > limit:
+        raise one.error(key, f'three numbers of at most {limit:.4g} in SI units', [x, y, z])
+    return x, y, z
+
+
+def _direction(one: Reader, key: str) -> Vector:
+    if not np.linalg.norm(direction := _place(one, key)) > 1e-9:
+        raise one.error(key, 'a direction of some length', list(direction))
+    return direction
+
+
+def _size(one: Reader, key: str) -> Vector:
+    if min(size := _place(one, key)) <= 0.0:
+        raise one.error(key, 'three lengths above 0 [m]', list(size))
+    return size
+
+
+def _turn(one: Reader, key: str) -> Vector:
+    return _place(one, key, 2.0 * np.pi)
+
+
+@dataclass(frozen=True)
+class Plane:
     """All that lies behind a plane, against its normal."""
 
-    point: tuple[float, float, float]  # [m]
-    normal: tuple[float, float, float]  # of any length
+    point: Annotated[Vector, _place]  # [m]
+    normal: Annotated[Vector, _direction]  # of any length
 
     def distance(self, points: Floats) -> Floats:
         """Return how far points (..., 3) [m] are before the plane, (...) [m]."""
@@ -43,23 +67,25 @@ class Plane(NamedTuple):
         return np.asarray((points - self.point) @ (normal / np.linalg.norm(normal)))
 
 
-class Sphere(NamedTuple):
+@dataclass(frozen=True)
+class Sphere:
     """A ball."""
 
-    centre: tuple[float, float, float]  # [m]
-    radius: float  # [m]
+    centre: Annotated[Vector, _place]  # [m]
+    radius: Annotated[float, in_range(1e-6, FAR_M, 'm')]
 
     def distance(self, points: Floats) -> Floats:
         """Return how far points (..., 3) [m] are outside, (...) [m]; negative: inside."""
         return np.asarray(np.linalg.norm(points - self.centre, axis=-1) - self.radius)
 
 
-class Box(NamedTuple):
+@dataclass(frozen=True)
+class Box:
     """A box, turned about its centre by a rotation vector."""
 
-    centre: tuple[float, float, float]  # [m]
-    size: tuple[float, float, float]  # [m] edge to edge
-    rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [rad]
+    centre: Annotated[Vector, _place]  # [m]
+    size: Annotated[Vector, _size]  # [m] edge to edge
+    rotation: Annotated[Vector, _turn] = (0.0, 0.0, 0.0)  # [rad]
 
     def distance(self, points: Floats) -> Floats:
         """Return how far points (..., 3) [m] are outside, (...) [m]; negative: inside."""
@@ -70,6 +96,7 @@ class Box(NamedTuple):
 
 
 Solid = Plane | Sphere | Box
+KINDS: dict[str, type[Solid]] = {'plane': Plane, 'sphere': Sphere, 'box': Box}
 
 
 class Region(NamedTuple):
@@ -118,9 +145,9 @@ class KeepOut:
         return Clearance(float(distances[row, point]), self.regions[row].name, int(point))
 
 
-def load_keep_out(path: str | Path) -> KeepOut:
+def load_keep_out(named: str | Path) -> KeepOut:
     """
-    Read regions from a YAML file.
+    Read regions from the path of a YAML file, or from its text.
 
     Raises
     ------
@@ -128,18 +155,17 @@ def load_keep_out(path: str | Path) -> KeepOut:
         The file cannot be read; a region is not valid: which, what was expected and what came.
 
     """
-    return parse_keep_out(_read(path), str(path))
+    text = text_of(str(named))
+    return parse_keep_out(text, 'keep_out' if text == named else str(named))
 
 
 def text_of(named: str) -> str:
     """Return the YAML text of regions that are named by a path, or given as text."""
-    return named if '\n' in named or '{' in named or not named else _read(named)
-
-
-def _read(path: str | Path) -> str:
-    text = read_text(path, lambda reason: InputError(f'{path}: cannot be read: {reason}'))
+    if (path := named_file(named)) is None:
+        return named
+    text = read_text(path, lambda reason: InputError(f'{named}: cannot be read: {reason}'))
     if not text.strip():  # a file that is named shall hold regions
-        raise InputError(f'{path}: expected regions under keep_out, got an empty file')
+        raise InputError(f'{named}: expected regions under keep_out, got an empty file')
     return text
 
 
@@ -194,32 +220,5 @@ def _region(item: Reader) -> Region:
     if len(kinds) != 1:
         got = ', '.join(kinds) or list(item.content)
         raise item.error('', f'one of {", ".join(KINDS)}', got)
-    margin = item.number('margin', 0.0, FAR_M, 'm') if item.has('margin') else 0.0
-    return Region(name, _solid(kinds[0], item.child(kinds[0])), margin)
-
-
-def _solid(kind: str, reader: Reader) -> Solid:
-    if kind == 'plane':
-        reader.only('point', 'normal')
-        normal = _vector(reader, 'normal', FAR_M)
-        if not np.linalg.norm(normal) > 1e-9:
-            raise reader.error('normal', 'a direction of some length', list(normal))
-        return Plane(_vector(reader, 'point', FAR_M), normal)
-    if kind == 'sphere':
-        reader.only('centre', 'radius')
-        return Sphere(_vector(reader, 'centre', FAR_M), reader.number('radius', 1e-6, FAR_M, 'm'))
-    reader.only('centre', 'size', 'rotation')
-    size = _vector(reader, 'size', FAR_M)
-    if min(size) <= 0.0:
-        raise reader.error('size', 'three lengths above 0 [m]', list(size))
-    rotation = (0.0, 0.0, 0.0)
-    if reader.has('rotation'):
-        rotation = _vector(reader, 'rotation', 2.0 * np.pi)
-    return Box(_vector(reader, 'centre', FAR_M), size, rotation)
-
-
-def _vector(reader: Reader, key: str, limit: float) -> tuple[float, float, float]:
-    x, y, z = reader.vector(key, 3)
-    if max(abs(x), abs(y), abs(z)) > limit:
-        raise reader.error(key, f'three numbers of at most {limit:.4g} in SI units', [x, y, z])
-    return x, y, z
+    margin = item.number('margin', 0.0, FAR_M, 'm', 0.0)
+    return Region(name, item.child(kinds[0]).read(KINDS[kinds[0]]), margin)

@@ -10,11 +10,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..common.errors import InputError, RobotDescriptionError, refusal, suggestion
-from ..common.files import read_text, shared_file
+from ..common.files import named_file, read_text, shared_file
 from ..common.yaml_reading import Reader, dump_yaml
 from .description import DESCRIPTION_MAX, Robot, Section, Tendon, check_robot, parse_robot
 
-PATH_MAX = os.pathconf(os.sep, 'PC_PATH_MAX')  # a longer text is a description
 EXPECTED = (
     'the name of a robot in config/robots, the path of a description, its YAML text or its keys '
     'as a dict'
@@ -68,13 +67,8 @@ def load_robot(robot: RobotLike) -> Robot:
 
 def robot_file(text: str) -> Path | None:
     """Return the file of a path or a name; None where the text is the description itself."""
-    if '\n' in text or ': ' in text or len(text) > PATH_MAX:
-        return None
-    path = Path(text)
-    own = shared_file(f'config/robots/{text}.yaml')
-    if own is not None and not path.is_file():
-        return own
-    if not path.suffix and os.sep not in text and not path.exists():
+    path = named_file(text, 'robots')
+    if path is not None and not (path.suffix or os.sep in text or path.exists()):
         first = shared_file('config/robots/kato_10_1.yaml')
         names = [] if first is None else sorted(path.stem for path in first.parent.glob('*.yaml'))
         raise InputError(

@@ -21,7 +21,7 @@ from ..common.files import new_file
 from ..common.rotations import about, towards
 from ..data import DataSet, Marker, default_markers
 from ..data.arrays import markers_of
-from ..data.dataset import INPUTS, PATHS
+from ..data.dataset import INPUTS, LIMITS, PATHS
 from ..data.visits import split_by_order
 from ..robot import RobotLike
 from ..robot.inputs import disturbed, input_rows
@@ -46,9 +46,8 @@ class SimulatedNoise:
             A value is negative, or so large that it must be in another unit.
 
         """
-        bounds = {'position': (0.1, 'm'), 'setting': (0.5, '1'), 'trial': (0.5, '1')}
-        for key, (high, unit) in bounds.items():
-            number(f'noise: {key}', getattr(self, key), 0.0, high, unit)
+        for key, value in vars(self).items():
+            number(f'noise: {key}', value, 0.0, *LIMITS[f'{key}_noise'])
 
 
 def simulate(

@@ -22,7 +22,7 @@ from ..common.files import write_text
 from ..common.workers import Workers
 from ..common.yaml_reading import Reader, read_yaml
 from ..data import load_dataset
-from ..data.dataset import INPUTS
+from ..data.dataset import INPUTS, LIMITS
 from ..effects import Catalogue
 from ..model.versions import UserEffect, catalogue_of, differences, refuse_difference, versions
 from ..robot import dump_robot, load_robot
@@ -72,10 +72,6 @@ class PlanReader(Reader):
     def entries(self, key: str) -> Iterator[Self]:
         """Open each entry of a list; none where there is no such key."""
         return self.items(key) if self.has(key) else iter(())
-
-    def count(self, key: str, default: int, low: int = 0, high: int = COUNT_MAX) -> int:
-        """Return a whole number within bounds."""
-        return self.whole(key, low, high) if self.has(key) else default
 
 
 @dataclass(frozen=True)
@@ -129,7 +125,7 @@ def plan_of(
         arms=tuple(arms_of(top, folder, catalogue)),
         designs=tuple(designs_of(top, folder)) or (Design('12 postures'),),
         noises=tuple(noises_of(top)) or (('0.2 mm', SimulatedNoise()),),
-        seed=top.count('seed', 0, high=2**32 - 1),
+        seed=top.whole('seed', 0, 2**32 - 1, 0),
         question=top.choice('question', QUESTIONS, DIAGNOSIS),
         effects=effects,
     )
@@ -172,9 +168,9 @@ def designs_of(top: PlanReader, folder: Path) -> Iterator[Design]:
         data = entry.content.get('data')
         if data is not None and not isinstance(data, str):
             raise entry.error('data', 'the folder of a data set', data)
-        postures = entry.count('postures', 12, 3)
-        trials = entry.count('trials', 5, 1)
-        markers = entry.count('markers', 0)
+        postures = entry.whole('postures', 3, COUNT_MAX, 12)
+        trials = entry.whole('trials', 1, COUNT_MAX, 5)
+        markers = entry.whole('markers', 0, COUNT_MAX, 0)
         placed = f'{markers} markers' if markers else 'a marker per cell'
         title = f'as {Path(data).name}' if data else f'{postures} postures x {trials} x {placed}'
         name = entry.name('name') if entry.has('name') else title
@@ -188,7 +184,9 @@ def noises_of(top: PlanReader) -> Iterator[tuple[str, SimulatedNoise]]:
     known = tuple(field.name for field in fields(SimulatedNoise))
     for entry in top.entries('noise'):
         entry.only('name', *known)
-        values = {key: entry.number(key, 0.0, 0.5) for key in known if entry.has(key)}
+        values = {
+            key: entry.number(key, 0.0, *LIMITS[f'{key}_noise']) for key in known if entry.has(key)
+        }
         one = SimulatedNoise(**values)
         title = f'{1e3 * one.position:.3g} mm, {100 * one.setting:.3g} %, {100 * one.trial:.3g} %'
         yield entry.name('name') if entry.has('name') else title, one
@@ -206,8 +204,8 @@ def cases_of(top: PlanReader, setup: Setup, catalogue: Catalogue) -> Iterator[Ca
     full = set(top.words('full_size', [*catalogue.names, *CAUSES], ()))
     usual = 0.0 if setup.question == INTERVALS else 1.0  # that arm is the model's own
     levels = top.numbers_in('imperfections', 0.0, 5.0, (usual,))
-    scatter = top.number('scatter', 0.0, SCATTER_MAX) if top.has('scatter') else 0.0
-    seeds, clean = top.count('seeds', 20), top.count('clean', 0)
+    scatter = top.number('scatter', 0.0, SCATTER_MAX, default=0.0)
+    seeds, clean = top.whole('seeds', 0, COUNT_MAX, 20), top.whole('clean', 0, COUNT_MAX, 0)
     sizes = sizes_of(top)
     shared: dict[str, Any] = {'scatter': scatter}
     shared |= {key: top.flag(key) for key in ('exact', 'declared')}

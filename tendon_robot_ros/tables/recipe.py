@@ -8,16 +8,16 @@ chosen from the tables.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, get_origin, get_type_hints
+from typing import Annotated, Any
 
 import numpy as np
 
 from ..common.errors import DataSetError, InputError, refusal, short
 from ..common.words import TYPED_LENGTHS, UNITS, Unit, digits, find_unit, listing
-from ..common.yaml_reading import dump_yaml
+from ..common.yaml_reading import dump_yaml, in_range, one_of, part
 from ..data.arrays import Vector
 from ..data.dataset import PATHS
 from ..data.folder import DatasetFields, read_text
@@ -35,7 +35,6 @@ HEAD = """\
 """
 OPTIONS = 'options'  # source of a recipe that options make
 OPTION_OF = {'places': 'markers', 'radius': 'spool'}  # key -> option, where another word
-Read = Callable[['RecipeFields', str], Any]
 
 
 class RecipeFields(DatasetFields):
@@ -47,15 +46,6 @@ class RecipeFields(DatasetFields):
             return super().error(key, expected, got)
         option = OPTION_OF.get(key, key).replace('_', '-')
         return DataSetError(f'--{option}', f'got {short(got)}', f'expected {expected}')
-
-    def read[Part](self, kind: type[Part]) -> Part:
-        """Read a dataclass by the annotations of its fields; a missing key is the default."""
-        hints = get_type_hints(kind, include_extras=True)
-        read_by = {n: hint for n, hint in hints.items() if get_origin(hint) is Annotated}
-        known = {name: hint.__metadata__[0] for name, hint in read_by.items()}
-        self.only(*known)
-        present = (name for name in known if self.has(name) or not hasattr(kind, name))
-        return kind(**{name: known[name](self, name) for name in present})
 
     def text(self, name: str) -> str:
         """Return a text such as the name of a column."""
@@ -128,21 +118,6 @@ class RecipeFields(DatasetFields):
         return frame.read(FrameChoice)
 
 
-def number(low: float, high: float, unit: str) -> Read:
-    """Return how a number within bounds is read."""
-    return lambda one, name: one.number(name, low, high, unit)
-
-
-def word(known: tuple[str, ...]) -> Read:
-    """Return how one of the known words is read."""
-    return lambda one, name: one.choice(name, known)
-
-
-def part(kind: type) -> Read:
-    """Return how the keys of a dataclass are read."""
-    return lambda one, name: one.child(name).read(kind)
-
-
 # fields of the dataclasses below: their type, and how the key of the same name is read; they
 # stand here because a function within an annotation does not see the names of this module
 Text = Annotated[str | None, RecipeFields.text]
@@ -167,7 +142,7 @@ class MarkerColumns:
     columns: Annotated[tuple[str, ...], RecipeFields.points]
     name: Text = None  # of the marker in the data set
     # [m]; None: found by its place along the straight arm
-    arc_length: Annotated[float | None, number(0.0, 100.0, 'm')] = None
+    arc_length: Annotated[float | None, in_range(0.0, 100.0, 'm')] = None
     offset: Xyz = None  # [m] in the frame there
     # columns in which it goes on, numbered anew
     later: Annotated[tuple[tuple[str, ...], ...] | None, RecipeFields.later] = None
@@ -185,27 +160,27 @@ class MarkerColumns:
 class WireSpool:
     """The spool by which angles or currents of a motor become wire pulls or tensions."""
 
-    radius: Annotated[float | None, number(1e-5, 1.0, 'm')] = None  # [m]
-    counts_per_turn: Annotated[float | None, number(1e-3, 1e9, '1')] = None
+    radius: Annotated[float | None, in_range(1e-5, 1.0, 'm')] = None  # [m]
+    counts_per_turn: Annotated[float | None, in_range(1e-3, 1e9, '1')] = None
     # [N·m/A], at the spool
-    torque_constant: Annotated[float | None, number(1e-9, 1e6, 'N·m/A')] = None
+    torque_constant: Annotated[float | None, in_range(1e-9, 1e6, 'N·m/A')] = None
 
 
 @dataclass(frozen=True)
 class Stillness:
     """When the arm counts as still; None is guessed."""
 
-    speed: Annotated[float | None, number(1e-6, 10.0, 'm/s')] = None  # [m/s] slower is still
-    duration: Annotated[float | None, number(1e-3, 1e4, 's')] = None  # [s] at least so long
+    speed: Annotated[float | None, in_range(1e-6, 10.0, 'm/s')] = None  # [m/s] slower is still
+    duration: Annotated[float | None, in_range(1e-3, 1e4, 's')] = None  # [s] at least so long
     # [N] or [m] of an input meanwhile
-    change: Annotated[float | None, number(1e-9, 1e4, 'N or m')] = None
+    change: Annotated[float | None, in_range(1e-9, 1e4, 'N or m')] = None
 
 
 @dataclass(frozen=True)
 class FrameChoice:
     """Where the tracker's frame lies: how it is found, or the result."""
 
-    method: Annotated[str | None, word(METHODS)] = None
+    method: Annotated[str | None, one_of(*METHODS)] = None
     rotation: Xyz = None  # [rad] rotation vector, tracker to base
     shift: Xyz = None  # [m] of the tracker's origin, in the base frame
 
@@ -224,19 +199,19 @@ class Recipe:
     spool: Annotated[WireSpool, part(WireSpool)] = WireSpool()
     # of the markers
     positions: Annotated[str | None, lambda one, name: one.unit(name, 'length')] = None
-    points: Annotated[str | None, word(CHOICES)] = None  # where columns are guessed
+    points: Annotated[str | None, one_of(*CHOICES)] = None  # where columns are guessed
     markers: Annotated[tuple[MarkerColumns, ...] | None, RecipeFields.markers] = None
     offset: Xyz = None  # [m] of all markers, where columns are guessed
     places: Numbers = None  # [m] arc lengths from base to tip, where columns are guessed
-    up: Annotated[str | None, word(UPS)] = None  # axis of the tracker
+    up: Annotated[str | None, one_of(*UPS)] = None  # axis of the tracker
     delay: Numbers = None  # [s] that the tracker's file begins later, of each recording
     drift: Numbers = None  # [s/s] that its clock loses, of each recording
     still: Annotated[Stillness, part(Stillness)] = Stillness()
     # [N] or [m] inputs that differ by less are those of one posture
-    same: Annotated[float | None, number(1e-12, 1e4, 'N or m')] = None
+    same: Annotated[float | None, in_range(1e-12, 1e4, 'N or m')] = None
     # [N] or [m] below, the arm rests between; 0: it never does
-    rest: Annotated[float | None, number(0.0, 1e4, 'N or m')] = None
-    path: Annotated[str, word(PATHS)] = 'from_straight'
+    rest: Annotated[float | None, in_range(0.0, 1e4, 'N or m')] = None
+    path: Annotated[str, one_of(*PATHS)] = 'from_straight'
     frame: Annotated[FrameChoice, RecipeFields.frame] = FrameChoice()
     # posture, trial
     leave_out: Annotated[tuple[tuple[str, str], ...] | None, RecipeFields.trials] = None

@@ -12,12 +12,12 @@ import datetime
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from ...common.errors import DriverError, InputError
-from ...common.yaml_reading import ConfigFields
+from ...common.yaml_reading import ConfigFields, in_range, one_of
 from ...robot import Robot
 from .. import hardware
 from .control_table import BAUD_RATES, INSTEAD, MODELS, WITHOUT_CURRENT, Counts, ServoModel
@@ -229,9 +229,9 @@ def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[MotorWire, .
     items = hardware.fields_of_inputs(top, 'motors', 'a motor', robot)
     lines = hardware.read_calibrations(top, required=True)
     shared = [item.content.get('id') for item in items.values()]
-    rate = 'pull_rate', 0.02, 1e-6, 1.0, 'm/s'  # key, default, lowest, highest, unit
+    rate = 'pull_rate', 1e-6, 1.0, 'm/s', 0.02  # key, lowest, highest, unit, default
     if mode == 'tension':
-        rate = 'tension_rate', 2.0 * robot.tension_limits[1], 1e-6, 1e4, 'N/s'
+        rate = 'tension_rate', 1e-6, 1e4, 'N/s', 2.0 * robot.tension_limits[1]
     wires = []
     for name, item in items.items():
         item.only(*MOTOR_KEYS)
@@ -250,12 +250,12 @@ def read_wires(top: ConfigFields, robot: Robot, mode: str) -> tuple[MotorWire, .
                 name,
                 hardware.Spool(radius, direction, Counts.TICKS_PER_TURN),
                 **hardware.read_wire_limits(item, top, robot, mode),
-                rate=hardware.nearest(item, top, rate[0]).value(*rate),
+                rate=hardware.nearest(item, top, rate[0]).number(*rate),
                 motor=identity,
                 model=model,
-                share=item.value('share', 1.0 / shared.count(identity), 0.0, 1.0, '1'),
-                current_limit=limited.value(
-                    'current_limit', largest, model.current_unit, largest, 'A'
+                share=item.number('share', 0.0, 1.0, default=1.0 / shared.count(identity)),
+                current_limit=limited.number(
+                    'current_limit', model.current_unit, largest, 'A', largest
                 ),
                 calibration=calibration,
             )
@@ -280,25 +280,29 @@ def read_calibration(item: ConfigFields, model: ServoModel, radius: float) -> Ca
             raise item.error(key, '[intercept A, slope A/N] with a slope above 0', item.content)
     if item.content.get('model', model.name) != model.name:
         raise item.error('model', f'{model.name}: calibrate again', item.content['model'])
-    if abs(item.value('spool_radius', radius, 0.0, 1.0, 'm') / radius - 1.0) > 0.01:
+    if abs(item.number('spool_radius', 0.0, 1.0, 'm', radius) / radius - 1.0) > 0.01:
         raise item.error(
             'spool_radius', f'{radius:g} m: calibrate again', item.content['spool_radius']
         )
-    scatter = item.value('scatter', 0.0, 0.0, 10.0, 'A')
+    scatter = item.number('scatter', 0.0, 10.0, 'A', 0.0)
     return Calibration(wind, pay_out, measured=True, scatter=scatter)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DynamixelConfig(hardware.PortConfig):
     """Checked configuration of the driver, by the keys of its file; SI units."""
 
-    watchdog: float | None  # [s], 0 = off, None = by the scheduling of the caller
-    answer_time: float  # [s]
-    pull_operation: str  # in pull mode: 'current_based' or 'extended'
-    home_speed: float  # [m/s] of the search for slack
-    temperature_margin: float  # [°C] below the motor's own limit at which the arm is released
-    allow_coarse: bool
-    allow_latency: bool
+    # 0 = off, None = by the scheduling of the caller
+    watchdog: Annotated[float | None, in_range(0.0, 2.54, 's')] = None
+    answer_time: Annotated[float, in_range(0.001, 0.1, 's')] = 0.012
+    # in pull mode
+    pull_operation: Annotated[str, one_of('current_based', 'extended')] = 'current_based'
+    # of the search for slack
+    home_speed: Annotated[float, in_range(1e-5, 0.1, 'm/s')] = 0.005
+    # below the motor's own limit at which the arm is released
+    temperature_margin: Annotated[float, in_range(0.0, 50.0, '°C')] = 5.0
+    allow_coarse: Annotated[bool, ConfigFields.flag] = False
+    allow_latency: Annotated[bool, ConfigFields.flag] = False
     motors: tuple[MotorWire, ...]  # of every input
 
     @property
@@ -327,15 +331,7 @@ def read_config(
     top.only(*KEYS)
     config = DynamixelConfig(
         **hardware.read_port_config(top, robot, mode, tuple(BAUD_RATES.values()), slack=0.02),
-        watchdog=top.value('watchdog', 0.0, 0.0, 2.54, 's') if top.has('watchdog') else None,
-        answer_time=top.value('answer_time', 0.012, 0.001, 0.1, 's'),
-        pull_operation=top.choice(
-            'pull_operation', ('current_based', 'extended'), 'current_based'
-        ),
-        home_speed=top.value('home_speed', 0.005, 1e-5, 0.1, 'm/s'),
-        temperature_margin=top.value('temperature_margin', 5.0, 0.0, 50.0, '°C'),
-        allow_coarse=top.flag('allow_coarse'),
-        allow_latency=top.flag('allow_latency'),
+        **top.fields(DynamixelConfig),
         motors=read_wires(top, robot, mode),
     )
     for identity, wires in config.by_id.items():

@@ -11,12 +11,12 @@ import datetime
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from ...common.errors import InputError
-from ...common.yaml_reading import ConfigFields
+from ...common.yaml_reading import ConfigFields, in_range, one_of
 from ...robot import Robot
 from .. import hardware
 from .messages import RELEASES, Protocol
@@ -175,7 +175,7 @@ def read_cell(item: ConfigFields) -> Cell:
     if abs(slope) < 1e-9:
         raise item.error('newtons_per_count', 'a slope of at least 1e-9 N/count', slope)
     units = {'zero_error': 'counts', 'slope_error': 'N/count', 'scatter': 'counts'}
-    errors = {key: item.value(key, 0.0, 0.0, 1e6, unit) for key, unit in units.items()}
+    errors = {key: item.number(key, 0.0, 1e6, unit, 0.0) for key, unit in units.items()}
     return Cell(item.number('zero', -8e6, 8e6, 'counts'), slope, **errors)
 
 
@@ -183,20 +183,22 @@ def read_cell(item: ConfigFields) -> Cell:
 BAUD_RATES = (115_200, 230_400, 250_000, 500_000, 1_000_000, 2_000_000)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BoardConfig(hardware.PortConfig):
     """Checked configuration of the driver, by the keys of its file; SI units."""
 
     source: str  # the file
-    telemetry_rate: float  # [Hz]
-    command_timeout: float  # [s] of silence after which the board releases
+    telemetry_rate: Annotated[float, in_range(20.0, 1000.0, 'Hz')] = 250.0
+    # of silence after which the board releases
+    command_timeout: Annotated[float, in_range(0.02, 10.0, 's')] = 0.2
     release_rate: float  # [N/s]
-    release_to: str
+    release_to: Annotated[str, one_of(*RELEASES)] = 'pretension'
     pretension: float  # [N] after a release
-    tension_gain: float  # [m/(N·s)] of the tension loop
+    # of the tension loop
+    tension_gain: Annotated[float, in_range(1e-6, 1.0, 'm/(N·s)')] = 0.015
     tension_rate: float  # [N/s]
     pull_rate: float  # [m/s]
-    home_time: float  # [s] of the search for slack
+    home_time: Annotated[float, in_range(0.5, 120.0, 's')] = 10.0  # of the search for slack
     tendons: tuple[ChannelWire, ...]  # of every input
 
     @property
@@ -224,20 +226,16 @@ def read_config(
     top = ConfigFields(source, '', dict(content))
     top.only(*KEYS)
     low, high = robot.tension_limits
-    tension_rate = top.value('tension_rate', 2.0 * high, 1e-3, 1e3, 'N/s')
-    pull_rate = top.value('pull_rate', 0.05, 1e-5, 1.0, 'm/s')
+    tension_rate = top.number('tension_rate', 1e-3, 1e3, 'N/s', 2.0 * high)
+    pull_rate = top.number('pull_rate', 1e-5, 1.0, 'm/s', 0.05)
     rate = tension_rate if mode == 'tension' else pull_rate
     return BoardConfig(
         **hardware.read_port_config(top, robot, mode, BAUD_RATES, slack=0.05),
+        **top.fields(BoardConfig),
         source=source,
-        telemetry_rate=top.value('telemetry_rate', 250.0, 20.0, 1000.0, 'Hz'),
-        command_timeout=top.value('command_timeout', 0.2, 0.02, 10.0, 's'),
-        release_rate=top.value('release_rate', 2.0 * high, 1e-3, 1e3, 'N/s'),
-        release_to=top.choice('release_to', RELEASES, 'pretension'),
-        pretension=top.value('pretension', low, 0.0, high, 'N'),
-        tension_gain=top.value('tension_gain', 0.015, 1e-6, 1.0, 'm/(N·s)'),
+        release_rate=top.number('release_rate', 1e-3, 1e3, 'N/s', 2.0 * high),
+        pretension=top.number('pretension', 0.0, high, 'N', low),
         tension_rate=tension_rate,
         pull_rate=pull_rate,
-        home_time=top.value('home_time', 10.0, 0.5, 120.0, 's'),
         tendons=read_wires(top, robot, mode, rate, calibrated),
     )

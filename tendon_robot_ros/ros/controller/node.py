@@ -30,7 +30,7 @@ from ...control.inputs import another_robot
 from ...control.solver import SOLVER, Worker
 from ...control.status import controller_status, controller_values
 from ...model.model import Model
-from ...robot.keep_out import KeepOut
+from ...robot.keep_out import KeepOut, load_keep_out
 from ..shared import interface
 from ..shared.inbox import Answer, Received, Service, subscribe_any_qos
 from ..shared.lifecycle import LEVELS, Status, StoppableNode
@@ -69,7 +69,7 @@ class ControllerNode(StoppableNode):
         self._keep_out = KeepOut()
         checks: dict[str, Callable[[str], object]] = {
             'model': self._loading.check,
-            'keep_out': parameters.keep_out_of,
+            'keep_out': load_keep_out,
             'prefer_stiffness_along': parameters.direction_of,
         }
         self.parameters.watch(checks, self._retune)
@@ -109,7 +109,7 @@ class ControllerNode(StoppableNode):
         model = self._loading.result()
         self._loading.accept(model)
         self.status.arm = model.robot.name
-        self._keep_out = parameters.keep_out_of(self.parameters['keep_out'])
+        self._keep_out = load_keep_out(self.parameters['keep_out'])
         settings = parameters.settings(self.parameters, self._keep_out)
         self._solver = Worker(self._wake)  # last: of a refused attempt no thread stays
         core = ControllerCore(model, settings, self._solver, latch=self.latch)
@@ -368,7 +368,7 @@ class ControllerNode(StoppableNode):
         """Apply changed parameters."""
         self._subscribe_tip()
         if 'keep_out' in names:  # parsed only when it changes
-            self._keep_out = parameters.keep_out_of(self.parameters['keep_out'])
+            self._keep_out = load_keep_out(self.parameters['keep_out'])
         if 'model' in names:
             self._loading.change(self.parameters['model'])
         if self.core is not None:

@@ -13,15 +13,9 @@ from ...effects import load_catalogue
 from ...model.model import Model
 from ...model.tip_task import Preferences
 from ...robot.description import DESCRIPTION_MAX
-from ...robot.keep_out import KeepOut, parse_keep_out, text_of
+from ...robot.keep_out import KeepOut
 from ...robot.loading import load_robot, robot_file
 from ..shared.parameters import Parameters
-
-
-def keep_out_of(text: str) -> KeepOut:
-    """Read regions from the path of a file, or from YAML text."""
-    inside = text_of(text)
-    return parse_keep_out(inside, 'keep_out' if inside == text else text)
 
 
 def direction_of(text: str) -> tuple[float, float, float]:
@@ -129,4 +123,4 @@ class ModelLoading:
             self._loader.cancel()
 
     def _begin(self, text: str) -> Loader:
-        return Loader(lambda: load_robot(text), self._parameters['effects'], self._inputs)
+        return Loader(lambda: load_robot(text), self._parameters['effects'], bool(self._inputs))

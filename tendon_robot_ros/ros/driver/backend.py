@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from rclpy.node import Node
@@ -17,8 +18,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from ...common.errors import InputError
+from ...common.files import named_file
 from ...common.rotations import towards
-from ...common.yaml_reading import ConfigFields
+from ...common.yaml_reading import ConfigFields, in_range
 from ...drivers.interface import BACKENDS, Driver, make_driver
 from ...drivers.mock import MockDriver
 from ...drivers.safety import SafetyRules
@@ -28,21 +30,21 @@ from ..shared import interface, messages
 from ..shared.parameters import ParameterNode, Parameters, base_frame, read_config
 from ..shared.runtime import repeat
 
-# configuration of the tracker of the mock arm: default (a camera), smallest, largest, unit
-TRACKER = {
-    'rate': (30.0, 0.1, 1000.0, 'Hz'),
-    'noise': (0.0, 0.0, 10.0, 'm'),  # 1 sd
-    'seed': (0.0, 0.0, 2.0**32 - 1.0, '1'),
-    'missing': (0.0, 0.0, 1.0, '1'),  # fraction of markers that is not visible
-    'lost': (0.0, 0.0, 1.0, '1'),  # fraction of frames that is lost
-}
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """Configuration of the tracker of the mock arm; by default a camera without faults."""
+
+    rate: Annotated[float, in_range(0.1, 1000.0, 'Hz')] = 30.0
+    noise: Annotated[float, in_range(0.0, 10.0, 'm')] = 0.0  # 1 sd
+    seed: Annotated[float, in_range(0.0, 2.0**32 - 1.0, '1')] = 0.0
+    missing: Annotated[float, in_range(0.0, 1.0, '1')] = 0.0  # fraction of markers not visible
+    lost: Annotated[float, in_range(0.0, 1.0, '1')] = 0.0  # fraction of frames that is lost
 
 
-def tracker_config(config: Mapping[str, Any]) -> dict[str, float]:
+def tracker_config(config: Mapping[str, Any]) -> TrackerConfig:
     """Read the configuration of the tracker; DriverError: a key or a value is refused."""
-    top = ConfigFields('config', 'tracker', config)
-    top.only(*TRACKER)
-    return {key: top.value(key, *allowed) for key, allowed in TRACKER.items()}
+    return ConfigFields('config', 'tracker', config).read(TrackerConfig)
 
 
 class MockTracker:
@@ -56,13 +58,13 @@ class MockTracker:
         """Create publishers and timer; DriverError: the configuration is refused."""
         self._node, self._driver = node, driver
         self._config = tracker_config(config)
-        self._random = np.random.default_rng(int(self._config['seed']))
+        self._random = np.random.default_rng(int(self._config.seed))
         robot = driver.robot
         self._frame = base_frame(node.parameters, robot.name)
         self._arc_lengths = np.cumsum(robot.cell_lengths)
         self._tip = messages.passing_publisher(node, *interface.topic('measured_tip'))
         self._shape = messages.passing_publisher(node, *interface.topic('measured_shape'))
-        self._timer = repeat(node, 1.0 / self._config['rate'], self._publish)
+        self._timer = repeat(node, 1.0 / self._config.rate, self._publish)
 
     def close(self) -> None:
         """Destroy publishers and timer."""
@@ -75,7 +77,7 @@ class MockTracker:
         tip_subscribed = self._tip.get_subscription_count() > 0
         shape_subscribed = self._shape.get_subscription_count() > 0
         subscribed = tip_subscribed or shape_subscribed
-        if arm is None or not subscribed or self._random.random() < self._config['lost']:
+        if arm is None or not subscribed or self._random.random() < self._config.lost:
             return
         header = messages.header_now(self._node, self._frame)
         n = len(self._arc_lengths)
@@ -84,8 +86,8 @@ class MockTracker:
         # the frame of the tracker may be rotated
         seen = arm.tracked(np.stack([tip, tip + arm.tip_direction]))
         along = seen[1] - seen[0]
-        positions = points + self._random.normal(0.0, self._config['noise'], (n, 3))
-        positions[self._random.random(n) < self._config['missing']] = np.nan
+        positions = points + self._random.normal(0.0, self._config.noise, (n, 3))
+        positions[self._random.random(n) < self._config.missing] = np.nan
         if shape_subscribed:
             self._shape.publish(messages.pose_array(header, positions))
         if tip_subscribed and np.isfinite(positions[-1]).all():
@@ -103,7 +105,7 @@ def make(robot: Robot, parameters: Parameters, node: Node) -> tuple[Driver, dict
     """Return the driver, not open yet, and the configuration of its tracker (backend mock)."""
     text, mode, backend = (parameters[key] for key in ('config', 'command_mode', 'backend'))
     config = read_config(text)
-    source = text if text and '\n' not in text and ':' not in text else 'config'
+    source = 'config' if named_file(text) is None else text
     if backend == 'mock':
         tracker = config.pop('tracker', None) or {}
         plant = _plant(robot, mode, config.pop('plant', None) or {}, f'{source}: plant')

@@ -29,7 +29,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 
 from ...common.errors import InputError, TendonRobotError, suggestion
-from ...common.files import read_text, shared_file
+from ...common.files import named_file, read_text
 from ...common.yaml_reading import parse_yaml
 from ...robot import Robot, load_robot
 from ...robot.description import DESCRIPTION_MAX
@@ -279,9 +279,7 @@ def _sections(content: Any, before: str = '') -> dict[str, dict[str, Any]]:
 
 def read_config(text: str) -> dict[str, Any]:
     """Read the parameter config: a path, a name of a file in config/, or YAML text; '': empty."""
-    if text.strip() and '\n' not in text and ':' not in text:
-        own = None if Path(text).is_file() else shared_file(f'config/{text}.yaml')
-        path = own or Path(text)
+    if (path := named_file(text)) is not None:
 
         def refuse(reason: str) -> InputError:
             return InputError(f'config: {path}: {reason}; expected a YAML file or text')
