@@ -185,6 +185,12 @@ BAD = {
         'shapes.csv, row 8: the line is empty',
         'remove it',
     ),
+    'text behind a quotation mark': (
+        'shapes',
+        SHAPES.replace('0.005', '"0.005"m'),
+        'shapes.csv, row 7: the quotation marks do not fit',
+        'remove all that are on this line',
+    ),
     'open quotation mark': (
         'shapes',
         SHAPES.replace('0.005', '"0.005'),

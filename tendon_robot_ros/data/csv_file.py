@@ -223,12 +223,14 @@ class CsvFile:
 
     def _parse_exactly(self, lines: Sequence[str], row: int, dtype: np.dtype[Any]) -> Block:
         """Parse lines cell by cell; the error names the row and column of a bad cell."""
+        reader = csv.reader(lines, strict=True)
         try:
-            rows = list(csv.reader(lines, strict=True))
+            rows = list(reader)
         except csv.Error:
             rows = []
         if len(rows) != len(lines):
-            place = next((i for i, line in enumerate(lines) if line.count('"') % 2), 0)
+            odd = (i for i, line in enumerate(lines) if line.count('"') % 2)
+            place = next(odd, reader.line_num - 1)
             problem, remedy = 'the quotation marks do not fit', 'remove all that are on this line'
             raise self.error(row + place, problem, remedy)
         numbers = [key for key in self.header if dtype[key].kind == 'f']
