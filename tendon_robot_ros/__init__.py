@@ -21,18 +21,24 @@ for _library in ('OPENBLAS', 'MKL'):
     os.environ.setdefault(f'{_library}_NUM_THREADS', '1')
 
 if TYPE_CHECKING:
-    from .common.errors import TendonRobotError
-    from .comparison.compare import compare
-    from .data import DataSet, Marker, join, load_dataset, save_dataset
-    from .diagnosis.add import add_effect
-    from .diagnosis.diagnose import diagnose
-    from .diagnosis.improve import improve
-    from .model.model import Model
-    from .robot import Robot, dump_robot, load_robot
-    from .simulation.measurements import simulate
-    from .simulation.plant import make_plant
-    from .tables import import_table
-    from .workspace.postures import default_postures
+    from .common.errors import TendonRobotError as TendonRobotError
+    from .comparison.compare import compare as compare
+    from .data import DataSet as DataSet
+    from .data import Marker as Marker
+    from .data import join as join
+    from .data import load_dataset as load_dataset
+    from .data import save_dataset as save_dataset
+    from .diagnosis.add import add_effect as add_effect
+    from .diagnosis.diagnose import diagnose as diagnose
+    from .diagnosis.improve import improve as improve
+    from .model.model import Model as Model
+    from .robot import Robot as Robot
+    from .robot import dump_robot as dump_robot
+    from .robot import load_robot as load_robot
+    from .simulation.measurements import simulate as simulate
+    from .simulation.plant import make_plant as make_plant
+    from .tables import import_table as import_table
+    from .workspace.postures import default_postures as default_postures
 
 # public name -> module of the package that has it
 PUBLIC = {
@@ -56,26 +62,7 @@ PUBLIC = {
     'simulate': '.simulation.measurements',
 }
 
-__all__ = [
-    'DataSet',
-    'Marker',
-    'Model',
-    'Robot',
-    'TendonRobotError',
-    'add_effect',
-    'compare',
-    'default_postures',
-    'diagnose',
-    'dump_robot',
-    'import_table',
-    'improve',
-    'join',
-    'load_dataset',
-    'load_robot',
-    'make_plant',
-    'save_dataset',
-    'simulate',
-]
+__all__ = sorted(PUBLIC)
 
 
 def __getattr__(name: str) -> Any:

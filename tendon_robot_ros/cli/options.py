@@ -21,7 +21,7 @@ from ..common.files import file_to_write, write_text
 from ..common.processes import UPKEEP_S
 from ..common.results import JSON_OPTION
 from ..common.results import emit as emit
-from ..common.words import TYPED_LENGTHS, UNITS, digits, other_unit, read_quantity
+from ..common.words import TYPED_LENGTHS, UNITS, digits, numbers, other_unit, read_quantity
 from ..data import DataSet, join, load_dataset
 from ..data.bag_reader import is_bag
 from ..data.folder import described_robot
@@ -222,27 +222,6 @@ def vector(option: str, text: str | None) -> list[float] | None:
 
     """
     return None if text is None else list(numbers(option, text, ',', 'three numbers x,y,z', 3))
-
-
-def numbers(
-    what: str, text: str, separator: str, expected: str = 'numbers', count: int = 0
-) -> tuple[float, ...]:
-    """
-    Read numbers with a separator between them; 0: as many as there are.
-
-    Raises
-    ------
-    InputError
-        One is no finite number, or there are more or fewer.
-
-    """
-    try:
-        values = tuple(map(float, text.split(separator)))
-    except ValueError:
-        values = (math.nan,)
-    if not all(map(math.isfinite, values)) or count not in (0, len(values)):
-        raise InputError(f'{what}: expected {expected}, got {text!r}')
-    return values
 
 
 def pairs(option: str, texts: Sequence[str], what: str = 'VALUE') -> dict[str, str]:

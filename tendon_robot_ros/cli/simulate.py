@@ -22,7 +22,7 @@ from pathlib import Path
 
 from ..common.arrays import Floats
 from ..common.errors import InputError, whole
-from ..common.words import PROGRAM, UNITS
+from ..common.words import PROGRAM, UNITS, numbers
 from ..data import DataSet, Marker, even_markers, save_dataset
 from ..data.dataset import INPUTS, PATHS
 from ..data.folder import refuse_dataset_in
@@ -195,7 +195,7 @@ def hidden_effect(text: str) -> tuple[str, dict[str, float | tuple[float, ...]]]
         if not equals:
             comma = ' (a decimal comma? write a point)' if part[:1].isdigit() else ''
             raise InputError(f'hidden {name}: expected NAME=VALUE, got {part!r}{comma}')
-        read = options.numbers(f'{name}: {key}', value, '/')
+        read = numbers(f'{name}: {key}', value, '/')
         values[key] = read if len(read) > 1 else read[0]
     return name, values
 
@@ -219,5 +219,5 @@ def _markers(text: str | None, robot: Robot) -> tuple[Marker, ...] | None:
         return None
     if text.isdigit():
         return even_markers(robot, whole('--markers', int(text), 1))
-    places = options.numbers('--markers', text, ',')
+    places = numbers('--markers', text, ',')
     return tuple(Marker(str(i + 1), 1e-3 * place) for i, place in enumerate(places))

@@ -234,6 +234,27 @@ def read_quantity(option: str, text: str, usual: str, *kinds: str) -> float:
     return float(match['number']) * read_unit(option, match['unit'] or usual, *kinds).factor
 
 
+def numbers(
+    what: str, text: str, separator: str | None, expected: str = 'numbers', count: int = 0
+) -> tuple[float, ...]:
+    """
+    Read numbers with a separator between them, None: blanks; 0: as many as there are.
+
+    Raises
+    ------
+    InputError
+        One is no finite number, or there are more or fewer.
+
+    """
+    try:
+        values = tuple(map(float, text.split(separator)))
+    except ValueError:
+        values = (math.nan,)
+    if not all(map(math.isfinite, values)) or count not in (0, len(values)):
+        raise InputError(f'{what}: expected {expected}, got {text!r}')
+    return values
+
+
 def other_unit(text: str, length: float, unit: str, low: float, high: float) -> str:
     """
     Return the advice '; if m is meant, say --unit m' if it fits, else ''.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from ...common.errors import InputError, TendonRobotError
+from ...common.words import numbers
 from ...common.yaml_reading import EXPLAINED_CHARACTERS_MAX
 from ...control import Settings
 from ...control.inputs import check_inputs
@@ -22,10 +23,8 @@ def direction_of(text: str) -> tuple[float, float, float]:
     """Read a direction; zeros where there is none."""
     if not text.strip():
         return 0.0, 0.0, 0.0
-    try:
-        x, y, z = (float(word) for word in text.replace(',', ' ').split())
-    except ValueError:
-        raise InputError(f'prefer_stiffness_along: expected "x y z", got {text!r}') from None
+    separator = ',' if ',' in text else None
+    x, y, z = numbers('prefer_stiffness_along', text, separator, '"x y z"', 3)
     if not 1e-9 < math.hypot(x, y, z) < math.inf:
         raise InputError(f'prefer_stiffness_along: expected some length, got {text!r}')
     return x, y, z

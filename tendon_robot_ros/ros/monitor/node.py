@@ -28,6 +28,7 @@ from std_msgs.msg import Float64, Float64MultiArray, Header, String
 from ...common.arrays import Floats
 from ...common.errors import InputError, TendonRobotError
 from ...common.rotations import from_quaternion
+from ...common.words import numbers
 from ...control import Refusal
 from ...control.loading import Loader
 from ...data.arrays import FRAME_S
@@ -380,17 +381,12 @@ def _transform(text: str) -> tuple[Floats, Floats] | None:
     """Parse rotation (3, 3) and translation (3,) [m] from tracker to base; None: no text."""
     if not text.strip():
         return None
-    try:
-        numbers = np.array([float(word) for word in text.split()])
-    except ValueError:
-        numbers = np.zeros(0)
-    norm = float(np.linalg.norm(numbers[3:]))
-    if len(numbers) != 7 or not 0.99 < norm < 1.01:
-        raise InputError(
-            'tracker_transform: expected x y z qx qy qz qw with a quaternion of norm 1, '
-            f'got {text!r}'
-        )
-    return from_quaternion(numbers[3:] / norm), numbers[:3]
+    expected = 'x y z qx qy qz qw with a quaternion of norm 1'
+    values = np.array(numbers('tracker_transform', text, None, expected, 7))
+    norm = float(np.linalg.norm(values[3:]))
+    if not 0.99 < norm < 1.01:
+        raise InputError(f'tracker_transform: expected {expected}, got {text!r}')
+    return from_quaternion(values[3:] / norm), values[:3]
 
 
 main = partial(run, MonitorNode)  # until a signal comes
