@@ -60,12 +60,12 @@ class BagWriter(AbstractContextManager['BagWriter']):
         folder : str or Path
             Must not exist.
         storage : str
-            'mcap' or 'sqlite3'.
+            One of `STORAGES`.
 
         Raises
         ------
         DataSetError
-            The folder exists or cannot be made, or the storage is unknown.
+            The folder exists or cannot be made.
         MissingExtraError
             The package rosbags is not installed.
 
@@ -74,10 +74,8 @@ class BagWriter(AbstractContextManager['BagWriter']):
         from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
         from rosbags.typesys import Stores, get_typestore
 
-        if storage not in STORAGES:
-            raise DataSetError(str(folder), f'no storage {storage!r}', f'use one of {STORAGES}')
         self.types = get_typestore(Stores.ROS2_JAZZY)
-        plugin = StoragePlugin.MCAP if storage == 'mcap' else StoragePlugin.SQLITE3
+        plugin = StoragePlugin[storage.upper()]
         try:
             self._writer = Writer(Path(folder), version=9, storage_plugin=plugin)
             self._writer.open()

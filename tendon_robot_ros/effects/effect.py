@@ -88,6 +88,11 @@ class Parameter:
             return self.low, self.high
         return (0.02 if self.low > 0.0 else 2.0) * self.low, 2.0 * self.high
 
+    def expected(self, value: float, described: bool = True) -> str:
+        """Return what a value out of bounds should be, '' where it is within."""
+        low, high = self.described_bounds if described else (self.low, self.high)
+        return '' if low <= value <= high else f'a number from {low:g} to {high:g} [{self.unit}]'
+
     def step(self, value: float, share: float) -> float:
         """Return a share of the typical size as a step from a value to where there is room."""
         size, below = share * self.typical, value - self.low

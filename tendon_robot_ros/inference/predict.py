@@ -50,12 +50,8 @@ def known_values(part: Part, catalogue: Catalogue) -> dict[tuple[str, str], floa
             if key not in parameters:
                 expected = ', '.join(parameters)
                 raise EffectError(f'{where}: {name}: expected one of {expected}, got {key!r}')
-            low, high = parameters[key].described_bounds
-            if not low <= value <= high:
-                raise EffectError(
-                    f'{where}: {name}.{key}: expected a number from {low:g} to {high:g} '
-                    f'[{parameters[key].unit}], got {value:g}'
-                )
+            if expected := parameters[key].expected(value):
+                raise EffectError(f'{where}: {name}.{key}: expected {expected}, got {value:g}')
         settled |= {(name, key): values.get(key, p.neutral) for key, p in parameters.items()}
     return settled
 

@@ -280,10 +280,8 @@ def described_effect(
             many = count is not None and count > 1
             expected = f'{count} numbers (one per {per})' if many else 'one number'
             raise RobotDescriptionError(robot.source, where, expected, list(value))
-        low, high = parameter.described_bounds
         for number in numbers:
-            if not low <= number <= high:
-                expected = f'a number from {low:g} to {high:g} [{parameter.unit}]'
+            if expected := parameter.expected(number):
                 raise RobotDescriptionError(robot.source, where, expected, number)
     missing = [p.name for p in known.values() if not (p.has_default or p.name in values)]
     if effect.always_on and missing:

@@ -300,8 +300,6 @@ class Plan:
 
 def stretched(times: Floats, values: Floats, rate: float) -> Floats:
     """Return times (n,) [s] at which values (n, m) change by no more than a rate per second."""
-    if rate <= 0.0:
-        raise InputError(f'rate: expected more than 0, got {rate:g}')
     gaps = np.maximum(np.diff(times), np.abs(np.diff(values, axis=0)).max(axis=1) / rate)
     return np.concatenate([[0.0], np.cumsum(gaps)])
 

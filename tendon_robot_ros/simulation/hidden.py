@@ -159,11 +159,8 @@ def checked(
         expected = f'{count} numbers, one per {parameter.per}' if count else 'one number'
         raise EffectError(f'{effect}: {parameter.name}: expected {expected}, got {len(numbers)}')
     for one in numbers:
-        if not parameter.low <= one <= parameter.high:
-            raise EffectError(
-                f'{effect}: {parameter.name}: expected a number from {parameter.low:g} to '
-                f'{parameter.high:g} [{parameter.unit}], got {one:g}'
-            )
+        if expected := parameter.expected(one, described=False):
+            raise EffectError(f'{effect}: {parameter.name}: expected {expected}, got {one:g}')
     return numbers if many else numbers[0]
 
 

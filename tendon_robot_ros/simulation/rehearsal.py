@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.errors import InputError, NoEquilibriumError, whole
+from ..common.errors import InputError, NoEquilibriumError, choice, whole
 from ..common.words import STANDARD_GRAVITY, digits, listed, mm
 from ..diagnosis.verdict import Verdict
 from ..effects import Catalogue
@@ -115,8 +115,8 @@ def draw(robot: Robot, catalogue: Catalogue, name: str, seed: int) -> Hidden:
 
     """
     known, random = choices(robot, catalogue), np.random.default_rng(seed)
-    if name and name not in known:
-        raise InputError(f'hidden: expected one of {", ".join(known)}, got {name!r}')
+    if name:
+        choice('hidden', name, known)
     unsized = (NOTHING_HIDDEN, *CAUSES, *(e.name for e in catalogue if e.placed))
     if name in unsized:
         return Hidden(name, {})
