@@ -287,6 +287,14 @@ def test_all_that_may_take_long_tells_what_it_does(command, measured, tmp_path, 
     assert all(0 <= done <= total for _, done, total in told)
 
 
+def test_a_port_that_cannot_appear_is_named_itself(tmp_path, capsys):
+    port = str(tmp_path / 'none' / 'port')
+    command = ['motors', 'emulate', 'dynamixel', '--robot', 'spatial_3', '--arm', 'springs']
+    assert main([*command, '--port', port]) == 1
+    said = f'error: {port}: its folder does not exist; make it or correct --port\n'
+    assert capsys.readouterr().err == said
+
+
 @pytest.mark.parametrize(('old', 'new'), OLD_NAMES.items())
 def test_an_old_name_still_runs_and_says_the_new_one(old, new, capsys):
     with pytest.raises(SystemExit):

@@ -181,6 +181,15 @@ def test_the_command_writes_what_compare_and_diagnose_read(tmp_path, capsys):
     assert np.linalg.norm(own - data.mean, axis=2).max() > 5e-3
 
 
+@pytest.mark.parametrize(
+    ('given', 'expected'), [('0', 'a whole number from 1 on, got 0'), ('²', "numbers, got '²'")]
+)
+def test_a_number_of_markers_that_is_none_is_refused(given, expected, tmp_path, capsys):
+    command = ['simulate', 'kato_10_1', '--output', str(tmp_path / 'new'), '--markers', given]
+    assert main(command) == 1
+    assert capsys.readouterr().err.strip() == f'error: --markers: expected {expected}'
+
+
 @pytest.mark.parametrize('path', PATHS)
 @pytest.mark.parametrize('kind', INPUTS)
 def test_the_command_takes_every_way_to_the_postures(path, kind, tmp_path, capsys):

@@ -364,7 +364,7 @@ class Emulate:
         add('--arm', default='plant', choices=ARMS, help=what)
         what = 'loose wire at the start (default 2)'
         add('--slack', type=float, default=2.0, metavar='MM', help=what)
-        add('--port', metavar='PATH', help='where the port appears (default: made up)')
+        add_file(parser, '--port', 'where the port appears (default: made up)', 'PATH')
         add('--ends-with-input', action='store_true', help='end when the standard input ends')
         add_file(parser, '--output', 'write a configuration for the driver')
 

@@ -166,7 +166,7 @@ def _measured(args: argparse.Namespace, plant: Plant, which: int) -> DataSet:
 
 
 def is_number(text: str) -> bool:
-    """Tell whether postures are given by their number, and not by a file."""
+    """Tell whether postures or markers are given by their number."""
     return text.removeprefix('-').isdecimal()
 
 
@@ -217,7 +217,7 @@ def simulated_noise(text: str) -> SimulatedNoise:
 def _markers(text: str | None, robot: Robot) -> tuple[Marker, ...] | None:
     if not text:
         return None
-    if text.isdigit():
+    if is_number(text):
         return even_markers(robot, whole('--markers', int(text), 1))
     places = numbers('--markers', text, ',')
     return tuple(Marker(str(i + 1), 1e-3 * place) for i, place in enumerate(places))
