@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, get_origin, get_type_hints
 
@@ -105,7 +106,7 @@ class Reader:
 
     def read[Part](self, kind: type[Part]) -> Part:
         """Return a dataclass of this mapping, whose keys are its annotated fields."""
-        self.only(*_readers(kind))
+        self.only(*_readers(kind))  # type: ignore[arg-type]
         return kind(**self.fields(kind))
 
     def fields(self, kind: type) -> dict[str, Any]:
@@ -278,6 +279,7 @@ class ConfigFields(Reader):
 Read = Callable[[Any, str], Any]  # of a reader and the key
 
 
+@cache  # annotations are texts, and regions are read while the arm is commanded
 def _readers(kind: type) -> dict[str, Read]:
     """Return how each annotated field of a dataclass is read."""
     hints = get_type_hints(kind, include_extras=True).items()

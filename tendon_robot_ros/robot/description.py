@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from ..common.arrays import Floats
 from ..common.errors import InputError, RobotDescriptionError
 from ..common.results import TextResult
 from ..common.rotations import turned_in_plane
-from ..common.yaml_reading import Reader, parse_yaml
+from ..common.yaml_reading import Read, Reader, in_range, one_of, parse_yaml
 
 TOLERANCES = (
     'bending_stiffness',
@@ -34,17 +34,33 @@ PLATE_LENGTH_MAX_M = 1e-5
 EffectValues = dict[str, float | tuple[float, ...]]
 
 
+def _cells(item: Reader, key: str = 'cells') -> int:
+    return item.whole(key, 1, 10000)
+
+
+def _per_cell(unit: str, default: float | None = None) -> Read:
+    return lambda item, key: item.per_cell(key, _cells(item), unit, default)
+
+
+def _mass_offset(item: Reader, key: str) -> tuple[XY, ...]:
+    """Return where the weight of each cell is: one place for all cells, or one each."""
+    value, cells = item.content[key], _cells(item)
+    each = isinstance(value, list) and any(isinstance(row, list) for row in value)
+    offsets = item.offsets(key, cells) if each else (item.offset(key),) * cells
+    return offsets if any(map(any, offsets)) else ()
+
+
 @dataclass(frozen=True)
 class Section:
     """An independently actuated run of equal-length cells."""
 
-    name: str
-    cells: int
-    cell_length: float  # [m]
-    bending_stiffness: tuple[float, ...]  # (cells,) [N·m/rad]
-    mass_profile: tuple[float, ...]  # (cells,) [1]
-    bends_as: str  # 'arc' or 'hinge'
-    mass_offset: tuple[XY, ...] = ()  # (cells, 2) [m]; empty: on the axis
+    name: Annotated[str, Reader.name]
+    cells: Annotated[int, _cells]
+    cell_length: Annotated[float, in_range(1e-6, 10.0, 'm')]
+    bending_stiffness: Annotated[tuple[float, ...], _per_cell('N·m/rad')]  # (cells,)
+    mass_profile: Annotated[tuple[float, ...], _per_cell('1', 1.0)]  # (cells,)
+    bends_as: Annotated[str, one_of('arc', 'hinge')] = 'arc'
+    mass_offset: Annotated[tuple[XY, ...], _mass_offset] = ()  # (cells, 2) [m]; empty: on the axis
 
     @property
     def is_plate(self) -> bool:
@@ -212,7 +228,7 @@ def parse_robot(text: str, source: str = 'robot') -> Robot:
 def check_robot(top: Reader) -> Robot:
     """Return the robot of a description; RobotDescriptionError where it is not valid."""
     top.only(*(key.name for key in fields(Robot) if key.name != 'source'))
-    sections = tuple(_section(item) for item in top.items('sections'))
+    sections = tuple(item.read(Section) for item in top.items('sections'))
     top.unique('sections', [section.name for section in sections])
     tendons = tuple(_tendon(item, sections) for item in top.items('tendons'))
     top.unique('tendons', [tendon.name for tendon in tendons])
@@ -241,27 +257,6 @@ def check_robot(top: Reader) -> Robot:
         exact=top.flag('exact'),
         model_error=top.length('model_error') if top.has('model_error') else None,
         source=top.source,
-    )
-
-
-def _section(item: Reader) -> Section:
-    item.only(*(key.name for key in fields(Section)))
-    cells = item.whole('cells', 1, 10000)
-    offsets: tuple[XY, ...] = ()
-    if item.has('mass_offset'):  # offset of the weight: one for all cells, or one each
-        value = item.content['mass_offset']
-        each = isinstance(value, list) and any(isinstance(row, list) for row in value)
-        offsets = (
-            item.offsets('mass_offset', cells) if each else (item.offset('mass_offset'),) * cells
-        )
-    return Section(
-        name=item.name('name'),
-        cells=cells,
-        cell_length=item.number('cell_length', low=1e-6, high=10.0, unit='m'),
-        bending_stiffness=item.per_cell('bending_stiffness', cells, 'N·m/rad'),
-        mass_profile=item.per_cell('mass_profile', cells, '1', default=1.0),
-        bends_as=item.choice('bends_as', ('arc', 'hinge'), default='arc'),
-        mass_offset=offsets if any(map(any, offsets)) else (),
     )
 
 
