@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from ..common.arrays import Floats
 from ..common.errors import DriverError, InputError
 from ..common.files import write_text
 from ..common.processes import ends_between
-from ..common.yaml_reading import ConfigFields, dump_yaml, read_yaml
+from ..common.yaml_reading import ConfigFields, dump_yaml, in_range, read_yaml
 from .interface import CYCLE_S, Driver
 
 RAMP_S = 4.0  # [s] to the reference tension, so that the arm follows without swinging
@@ -32,16 +32,38 @@ CHANGED_MIN = 0.1  # [1] of the reference tension, so that the friction of a gea
 BOOT = Path('/proc/sys/kernel/random/boot_id')
 
 
+def _names(top: ConfigFields, key: str) -> tuple[str, ...]:
+    names = top.content.get(key)
+    if not isinstance(names, list) or not names:
+        raise top.error(key, 'a list of names', names)
+    return tuple(map(str, names))
+
+
+def _numbers(top: ConfigFields, key: str) -> Floats:
+    """Return a number of every input; it may be missing (nan)."""
+    values, size = top.content.get(key), len(_names(top, 'inputs'))
+    listed = values if isinstance(values, list) else []
+    if len(listed) != size or not all(type(value) in (int, float) for value in listed):
+        raise top.error(key, f'a list of {size} numbers', values)
+    return np.array(listed, dtype=float)
+
+
+def _text(top: ConfigFields, key: str) -> str:
+    return str(top.content.get(key, ''))
+
+
 @dataclass(frozen=True)
 class TendonReference:
     """What was measured at the reference posture."""
 
-    inputs: tuple[str, ...]
-    tension: float  # [N] commanded on every input
-    pulls: Floats  # (m,) [m]
-    tensions: Floats  # (m,) [N] as the motors or load cells measure them, nan where nothing does
-    date: str
-    boot: str = ''  # id of this start of the computer: it changes when the power was off
+    inputs: Annotated[tuple[str, ...], _names]
+    tension: Annotated[float, in_range(0.0, 1e4, 'N')]  # commanded on every input
+    pulls: Annotated[Floats, _numbers]  # (m,) [m]
+    # (m,) [N] as the motors or load cells measure them, nan where nothing does
+    tensions: Annotated[Floats, _numbers]
+    date: Annotated[str, _text]
+    # id of this start of the computer: it changes when the power was off
+    boot: Annotated[str, _text] = ''
 
 
 class TendonChange(NamedTuple):
@@ -122,30 +144,7 @@ def changes(reference: TendonReference, now: TendonReference) -> list[TendonChan
 def read_reference(path: Path) -> TendonReference:
     """Read a reference that `save_reference` has written; one line where it is not valid."""
     content = read_yaml(path, lambda reason: InputError(f'{path}: cannot be read: {reason}'))
-    top = ConfigFields(str(path), '', content)
-    top.only(*(field.name for field in fields(TendonReference)))
-    names = top.content.get('inputs')
-    if not isinstance(names, list) or not names:
-        raise top.error('inputs', 'a list of names', names)
-
-    def numbers(key: str) -> Floats:  # that may be missing (nan)
-        values = top.content.get(key)
-        if (
-            not isinstance(values, list)
-            or len(values) != len(names)
-            or not all(type(value) in (int, float) for value in values)
-        ):
-            raise top.error(key, f'a list of {len(names)} numbers', values)
-        return np.array(values, dtype=float)
-
-    return TendonReference(
-        tuple(map(str, names)),
-        top.number('tension', 0.0, 1e4, 'N'),
-        numbers('pulls'),
-        numbers('tensions'),
-        str(top.content.get('date', '')),
-        str(top.content.get('boot', '')),
-    )
+    return ConfigFields(str(path), '', content).read(TendonReference)
 
 
 def save_reference(path: Path, reference: TendonReference) -> None:

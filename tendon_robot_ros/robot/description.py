@@ -77,12 +77,12 @@ class Tendon:
     it is that of `offsets` in every cell.
     """
 
-    name: str
+    name: Annotated[str, Reader.name]
     base: XY  # [m] at the base
     end: XY  # [m] where it ends
     section: str
-    group: str | None = None
-    drum: str | None = None  # of its wire, where it winds several
+    group: Annotated[str | None, Reader.name] = None
+    drum: Annotated[str | None, Reader.name] = None  # of its wire, where it winds several
     winding: int = 1  # or -1: the wire is paid out while the drum is turned
     helix: float = 0.0  # [rad/m], from x to y
     offsets: tuple[XY, ...] = ()  # (cells of the tendon, 2) [m] at mid-cell
@@ -266,19 +266,13 @@ def _tendon(item: Reader, sections: tuple[Section, ...]) -> Tendon:
         raise item.error('winding', 'the drum that winds the wire, too', item.content['winding'])
     if item.has('drum') and item.has('group'):
         raise item.error('drum', 'a drum or a group, not both', item.content['drum'])
-    winding = item.whole('winding', -1, 1) if item.has('winding') else 1
+    winding = item.whole('winding', -1, 1, 1)
     if winding == 0:
         raise item.error('winding', '1, or -1 for a wire that is wound the other way', winding)
     names = tuple(section.name for section in sections)
     ending = item.choice('section', names)
-    return Tendon(
-        name=item.name('name'),
-        section=ending,
-        group=item.name('group') if item.has('group') else None,
-        drum=item.name('drum') if item.has('drum') else None,
-        winding=winding,
-        **_route(item, sections[: names.index(ending) + 1]),
-    )
+    route = _route(item, sections[: names.index(ending) + 1])
+    return Tendon(section=ending, winding=winding, **item.fields(Tendon), **route)
 
 
 def _route(item: Reader, sections: tuple[Section, ...]) -> dict[str, Any]:
