@@ -483,6 +483,20 @@ def test_an_impossible_tracker_of_the_mock_arm_is_refused(content, words):
         driver_backend.tracker_config(content)
 
 
+@pytest.mark.parametrize(
+    ('plant', 'words'),
+    [
+        (3, 'config: plant: expected keys with values, got 3'),
+        ({'hiden': {}}, "config: plant.hiden: expected one of hidden, .*got 'hiden'"),
+        ({'twin': 3}, 'config: plant.twin: expected true or false, got 3'),
+    ],
+)
+def test_an_impossible_mock_arm_is_refused(plant, words):
+    given = {'backend': 'mock', 'config': str({'plant': plant}), 'command_mode': 'tension'}
+    with pytest.raises(DriverError, match=words):
+        driver_backend.make(load_robot('kato_10_1'), given, None)
+
+
 def test_a_configuration_comes_from_a_name_or_text():
     assert read_config('mock_twin')['plant'] == {'twin': True}
     assert read_config('{lag: 0.1}') == {'lag': 0.1}

@@ -96,6 +96,7 @@ class MockTracker:
 
 
 MOCK_KEYS = {'plant', 'tracker', 'lag'}  # keys of the configuration of the mock alone
+PLANT_KEYS = 'hidden', 'refine', 'scatter', 'capstan', 'seed', 'catalogue'  # as of `make_plant`
 # [1/N] strain of the wires of a mock arm, because stiff wires pull against each other without
 # bound: 1 / (E A) of steel wires of 0.25 mm (E = 200 GPa)
 WIRE_COMPLIANCE = 1e-4
@@ -108,7 +109,7 @@ def make(robot: Robot, parameters: Parameters, node: Node) -> tuple[Driver, dict
     source = 'config' if named_file(text) is None else text
     if backend == 'mock':
         tracker = config.pop('tracker', None) or {}
-        plant = _plant(robot, mode, config.pop('plant', None) or {}, f'{source}: plant')
+        plant = _plant(robot, mode, ConfigFields(source, 'plant', config.pop('plant', None)))
         return make_driver(backend, robot, config, mode=mode, source=source, plant=plant), tracker
     of_mock = bool(MOCK_KEYS & set(config))
     if of_mock or not config:
@@ -122,9 +123,10 @@ def make(robot: Robot, parameters: Parameters, node: Node) -> tuple[Driver, dict
     return make_driver(backend, robot, config, mode=mode, source=source, **link), {}
 
 
-def _plant(robot: Robot, mode: str, config: dict[str, Any], source: str) -> Any:
+def _plant(robot: Robot, mode: str, config: ConfigFields) -> Any:
     """Return the mock arm; imports are local, because hardware drivers load no compiler."""
-    twin = config.pop('twin', False)
+    config.only(*PLANT_KEYS, 'twin')
+    twin = config.flag('twin')
     if mode == 'pull' and not {'tendon_elongation', 'wire_spring'} & set(robot.effects):
         # of a twin a tenth, so that its tip is where the controller's model predicts
         compliance = 0.1 * WIRE_COMPLIANCE if twin else WIRE_COMPLIANCE
@@ -134,10 +136,7 @@ def _plant(robot: Robot, mode: str, config: dict[str, Any], source: str) -> Any:
 
     if twin:  # an arm that equals the model, with its memory (`make demo`)
         return Plant(robot, Model(robot), 1, Damage(robot, 0))
-    try:
-        return make_plant(robot, **config)
-    except TypeError as error:
-        raise InputError(f'{source}: {error}') from None
+    return make_plant(robot, **{key: config.content[key] for key in PLANT_KEYS if config.has(key)})
 
 
 def rules(driver: Driver, parameters: Parameters) -> SafetyRules:
