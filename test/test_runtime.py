@@ -293,6 +293,15 @@ def test_an_error_in_a_callback_ends_the_process_the_safe_way(context, capfd):
     assert 'nobody foresaw this' in capfd.readouterr().err
 
 
+def test_a_parameter_that_is_no_name_of_a_topic_is_refused_in_one_line(context, capfd):
+    given = ['--ros-args', '-r', '__ns:=/named', '-p', 'driver_status:="a b"']
+    assert run(ControllerNode, given) == 1
+    said = capfd.readouterr().err
+    assert 'Traceback' not in said
+    assert said.splitlines()[-1].startswith('error: Invalid topic name: ')
+    assert said.endswith(": 'a b'\n")
+
+
 ENDS = """
 import sys
 from tendon_robot_ros.ros.shared.runtime import Runnable, run

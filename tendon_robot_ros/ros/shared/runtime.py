@@ -29,6 +29,7 @@ import rclpy
 import rclpy.utilities
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.exceptions import NameValidationException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -278,8 +279,8 @@ def run(make: Callable[[], Runnable], arguments: Sequence[str], first: bool = Fa
             while not ending.signal and runnable.running():
                 executor.spin_once(timeout_sec=SPIN_S)
             code = 0
-        except TendonRobotError as error:
-            print('error:', ' '.join(str(error).split()), file=sys.stderr)
+        except (TendonRobotError, NameValidationException) as error:  # parameters
+            print('error:', ' '.join(str(error).rstrip(' ^').split()), file=sys.stderr)
         except Exception:
             traceback.print_exc()
         finally:
