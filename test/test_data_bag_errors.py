@@ -224,7 +224,7 @@ def test_the_commands_go_there_and_back(tmp_path, capsys, monkeypatch):
     assert capsys.readouterr().out == '3 measurements, 2 postures\nwritten: a.mcap\n'
     assert main(['import', 'bag', 'a.mcap', '--output', 'out', '--picture', 'a.png']) == 0
     assert capsys.readouterr().out == (
-        '3 still segments: 2 postures x 1..2 trials x 3 markers\nwritten: out\npicture: a.png\n'
+        '3 still segments: 2 postures x 1 to 2 trials x 3 markers\nwritten: out\npicture: a.png\n'
     )
     assert load_dataset('out').postures == ('0', '1')
 

@@ -39,7 +39,7 @@ def test_segments_with_the_same_inputs_are_trials_of_one_posture(imported):
     assert_allclose(data.inputs, [REST, LEFT, RIGHT], atol=1e-3)
     assert_allclose(data.mean, [STRAIGHT, BENT, TURNED], atol=1e-4)
     assert data.orientations is None  # the tracker gave no turn
-    assert summary(imported) == '8 still segments: 3 postures x 2..4 trials x 3 markers'
+    assert summary(imported) == '8 still segments: 3 postures x 2 to 4 trials x 3 markers'
 
 
 def test_segments_lie_within_the_time_in_which_the_arm_stood(imported):

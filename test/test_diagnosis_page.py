@@ -131,12 +131,12 @@ def test_an_addition_shows_both_kinds_of_postures(hinges):
     fitted = Errors('fitted', 'x', 12, 2.66e-3, 2.4e-4, 2.45e-4)
     check = Errors('check', 'y', 6, 2.5e-3, 2.7e-4, 2.2e-4)
     made = Addition(hinges.robot, {'hinge_friction': {'lever': LEVER}}, fitted, check, 0.5)
-    said = text(diagnosis_page(diagnosis('missing_effect'), None, made))
+    said = text(diagnosis_page(diagnosis('missing_effect'), addition=made))
     assert 'Error on postures never used: 2.50 mm → 0.270 mm (floor 0.220 mm).' in said
     for label in ('postures that were fitted', 'postures never used', '2.66', '0.270'):
         assert label in said
     in_turn = replace(made, check=replace(check, kind='left out'))
-    said = text(diagnosis_page(diagnosis('missing_effect'), None, in_turn))
+    said = text(diagnosis_page(diagnosis('missing_effect'), addition=in_turn))
     assert 'postures left out in turn' in said and 'postures never used' not in said
 
 
@@ -269,7 +269,7 @@ def test_no_noise_no_heat_map():
     alone = replace(data, positions=data.positions[:, :1], position_noise=None, trial_names=('0',))
     shown = pictures_of(diagnosis('cannot_judge', ()), alone)
     assert shown[1] == []
-    assert 'Deviation' not in text(diagnosis_page(diagnosis('cannot_judge', ()), shown))
+    assert 'Deviation' not in text(diagnosis_page(diagnosis('cannot_judge', ()), alone))
 
 
 @pytest.mark.browser
@@ -287,5 +287,5 @@ def test_the_page_of_a_spatial_arm_opens(tmp_path):
     data = load_dataset(blind('e') / 'fit')
     tip = EffectFinding('tip_load', {'force_x': Value(2.5e-3, 2.4e-3, 2.6e-3, 'N')}, 0.99)
     found = diagnosis('missing_effect', (tip,))
-    page = diagnosis_page(found, pictures_of(found, data)).write(tmp_path / 'page.html')
+    page = diagnosis_page(found, data).write(tmp_path / 'page.html')
     assert_fine(open_page(page, tmp_path, (1200, 390)), (1200, 390))

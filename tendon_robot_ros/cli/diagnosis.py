@@ -24,7 +24,7 @@ from ..diagnosis.verdict import Verdict
 from ..inference.statistics import ERRORS
 from ..report import diagnosis_text, improvement_page
 from ..report.comparison import comparison_page
-from ..report.diagnosis_page import diagnosis_page, pictures_of
+from ..report.diagnosis_page import diagnosis_page
 from ..robot import Robot, load_robot
 from . import options
 from .main import ExitCode
@@ -164,8 +164,8 @@ class Diagnose:
         outcome = outcome_of(args.add, diagnosis, added, may_add) if args.add else ''
         lines.append(outcome)
         if args.report:
-            pictures = pictures_of(diagnosis, dataset, catalogue, added)
-            page = diagnosis_page(diagnosis, pictures, added, outcome.replace('    ', '; '))
+            said = outcome.replace('    ', '; ')
+            page = diagnosis_page(diagnosis, dataset, catalogue, added, said)
             lines.append(f'report: {page.write(args.report)}')
         code = conclude(args, args.add, content, lines, robot)
         return code if args.add and outside else 0

@@ -10,7 +10,6 @@ import argparse
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +31,7 @@ from . import options
 from .options import emit, load_model, progress
 
 WEIGHTS = 'low_tension', 'stiffness', 'slack', 'limit'
-FILES = ('postures.csv', 'workspace.npz', 'workspace.html')
-# what was found, lines of it, what saves it in a folder, its page, other files that may lie there
-Result = tuple[Any, list[str], Callable[[Any, Path], None], Callable[[Any], Page], tuple[str, ...]]
+Result = tuple[Any, list[str], Callable[[Any], Page]]  # what was found, lines of it, its page
 
 
 class ShapeCommand:
@@ -276,16 +273,18 @@ class WorkspaceCommand:
 
     def run(self, args: argparse.Namespace) -> None:
         """Sample or sweep, print, write."""
-        folder = Path(args.output) if args.output else None
-        if folder and folder.exists():
-            from ..workspace.volume import KEPT
+        from ..workspace.view_angle import WORKSPACE_FILES
+        from ..workspace.volume import KEPT
 
-            others = any(path.name not in KEPT for path in folder.iterdir())
-            if others and not args.overwrite:  # more than to go on from
-                raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
-            refuse_other_files(folder, (*FILES, *KEPT))
+        folder = Path(args.output) if args.output else None
         model = load_model(args)
         in_pairs = bool(args.view) and not tendon_offsets(model.robot)[..., 1].any()
+        kept = () if in_pairs else KEPT  # to go on from
+        files = (*WORKSPACE_FILES, 'workspace.html')
+        if folder and folder.exists():
+            if any(path.name not in kept for path in folder.iterdir()) and not args.overwrite:
+                raise InputError(f'{folder}: is not empty; use --overwrite or another --output')
+            refuse_other_files(folder, (*files, *kept))
         for name in ('postures', 'cubes') if in_pairs else ('step',):
             if getattr(args, name) is not None:
                 raise InputError(
@@ -293,19 +292,19 @@ class WorkspaceCommand:
                     'else samples all tendons (--postures, --cubes)'
                 )
         explore = sweep_pairs if in_pairs else sample_all
-        found, lines, save, page, unfinished = explore(args, model)
+        found, lines, page = explore(args, model)
         if folder:
-            with new_folder(folder, (*FILES, *unfinished)) as draft:
-                save(found, draft)
-                page(found).write(draft / FILES[2])
-            lines.append(f'written: {", ".join(str(folder / name) for name in FILES)}')
+            with new_folder(folder, (*files, *kept)) as draft:
+                found.save(draft)
+                page(found).write(draft / files[-1])
+            lines.append(f'written: {", ".join(str(folder / name) for name in files)}')
         emit(args, found.to_json(), '\n'.join(lines))
 
 
 def sweep_pairs(args: argparse.Namespace, model: Model) -> Result:
     """Sweep pairs of inputs at view angles."""
     from ..report.workspace_page import missing, rows, workspace_page
-    from ..workspace.view_angle import Workspace, save_workspace
+    from ..workspace.view_angle import Workspace
 
     with progress() as show:
         workspace = Workspace(
@@ -325,7 +324,7 @@ def sweep_pairs(args: argparse.Namespace, model: Model) -> Result:
         lines.append(columns(rows(workspace)))
     if workspace.unsolved:
         lines.append(f'without equilibrium and left out: {workspace.unsolved:,}')
-    return workspace, lines, save_workspace, workspace_page, ()
+    return workspace, lines, workspace_page
 
 
 def sample_all(args: argparse.Namespace, model: Model) -> Result:
@@ -333,7 +332,7 @@ def sample_all(args: argparse.Namespace, model: Model) -> Result:
     from ..common.workers import Workers
     from ..model.versions import Preparation, UserEffect
     from ..report.workspace_page import summary, volume_page
-    from ..workspace.volume import KEPT, Sampling, Volume, save_volume
+    from ..workspace.volume import Sampling, Volume
 
     low, high = model.robot.tension_limits
     kept = Path(args.output) if args.output else None
@@ -353,8 +352,7 @@ def sample_all(args: argparse.Namespace, model: Model) -> Result:
             edge=None if args.cubes is None else options.length('--cubes', args.cubes, args.unit),
         )
         volume = Volume(sampling, show, workers, kept)
-    save = partial(save_volume, names=FILES[:2])
-    return volume, summary(volume), save, volume_page, KEPT
+    return volume, summary(volume), volume_page
 
 
 class Sweep:

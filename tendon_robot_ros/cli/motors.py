@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.errors import InputError, MissingExtraError, choice, short
-from ..common.files import new_file, write_text
+from ..common.files import write_picture, write_text
 from ..common.processes import handled_by
 from ..common.words import STANDARD_GRAVITY
 from ..common.yaml_reading import dump_yaml, read_yaml
@@ -301,8 +301,7 @@ def draw(
     axes.set(xlabel='tension [N]', ylabel='current [A]', title=f'{tendon}: calibration')
     axes.legend()
     axes.grid(alpha=0.3)
-    with new_file(path) as draft:
-        figure.savefig(draft, dpi=dots)
+    write_picture(figure, path, dots)
 
 
 def calibrate_cell(args: argparse.Namespace) -> None:

@@ -17,7 +17,7 @@ from typing import Any, TextIO
 import yaml
 
 from ..common.errors import InputError
-from ..common.files import new_file, write_text
+from ..common.files import write_text
 from ..common.words import COMPILING, PROGRAM, STANDARD_GRAVITY, columns, counted, mm
 from ..report.comparison import kind
 from ..report.in_words import route, rows
@@ -80,8 +80,7 @@ class NewRobot:
         from ..report.pictures import draw_robot
 
         print(f'drawing; {COMPILING}, if not done', file=sys.stderr)
-        with new_file(picture) as draft:
-            draw_robot(Model(robot), draft)
+        draw_robot(Model(robot), picture)
         lines = [
             description(robot),
             f'\nwritten: {path}   picture: {picture}',

@@ -24,7 +24,7 @@ from ..common.arrays import Floats
 from ..common.errors import InputError, whole
 from ..common.words import PROGRAM, UNITS, numbers
 from ..data import DataSet, Marker, even_markers, save_dataset
-from ..data.dataset import INPUTS, PATHS
+from ..data.dataset import INPUTS, PATHS, extent
 from ..data.folder import refuse_dataset_in
 from ..data.measurement_files import Commands
 from ..effects import load_catalogue
@@ -115,7 +115,7 @@ def write_datasets(args: argparse.Namespace, plant: Plant, folders: list[str]) -
     datasets = [_measured(args, plant, which) for which in range(len(folders))]
     for folder, dataset in zip(folders, datasets, strict=True):
         save_dataset(dataset, folder, args.overwrite)
-        yield '{} postures x {} trials x {} markers'.format(*dataset.positions.shape)
+        yield extent(dataset.trials, dataset.inputs, len(dataset.markers))
 
 
 def write_tables(args: argparse.Namespace, plant: Plant, paths: list[str]) -> Iterator[str]:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from .errors import DataSetError, InputError, TendonRobotError
 
@@ -148,6 +149,13 @@ def write_text(path: str | Path, text: str) -> None:
     """Write a file of text, whole or not at all."""
     with new_file(Path(path)) as draft:
         draft.write_text(text, encoding='utf-8')
+
+
+def write_picture(figure: Any, path: str | Path, dots: int) -> Path:
+    """Write a figure of matplotlib, whole or not at all; the ending says the format."""
+    with new_file(Path(path)) as draft:
+        figure.savefig(draft, dpi=dots)
+    return Path(path)
 
 
 @contextmanager

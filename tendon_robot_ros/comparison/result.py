@@ -21,6 +21,7 @@ from ..common.arrays import Floats
 from ..common.errors import InputError
 from ..common.files import read_text
 from ..common.results import TextResult, make_frame, plain
+from ..common.words import mm
 from ..inference import statistics
 
 if TYPE_CHECKING:
@@ -133,10 +134,10 @@ class Comparison(TextResult):
     def __repr__(self) -> str:
         """Summarise the errors of every model, and the noise floor."""
         rows = [
-            f'{m.name}: rms {_mm(m.rms)}, tip error {_mm(m.tip_error().mean)}' for m in self.models
+            f'{m.name}: rms {mm(m.rms)}, tip error {mm(m.tip_error().mean)}' for m in self.models
         ]
         if self.noise_floor is not None:
-            rows.append(f'a perfect model: {_mm(self.noise_floor)}')
+            rows.append(f'a perfect model: {mm(self.noise_floor)}')
         if left_out := len(self.measured.left_out):
             rows.append(f'left out, because other trials contradict: {left_out}')
         return f'<Comparison with {self.measured.data}: {"; ".join(rows)}>'
@@ -270,10 +271,6 @@ class Comparison(TextResult):
         angles = self.measured.angles
         assert angles is not None  # the markers lie on the centreline
         return statistics.mean_over(angles, 0), statistics.half_width(angles, self.error)
-
-
-def _mm(metres: float) -> str:
-    return f'{1e3 * metres:.3g} mm'
 
 
 FORMAT = 'tendon_robot_ros/comparison@1'

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..common.arrays import Bools, Floats, Ints, evenly
 from ..common.errors import DataSetError, InputError, choice, names, number, refusal
 from ..common.results import TextResult, make_frame
-from ..common.words import listing
+from ..common.words import counted, listing, postures
 from ..robot import Robot, RobotLike, load_robot
 from ..robot.inputs import finite, input_rows
 from .arrays import (
@@ -54,6 +54,20 @@ def at_rest(inputs: Floats) -> Bools:
     """Return which postures (P,) of inputs (P, m) [N] or [m] are at rest; NaN is a slack wire."""
     sizes = np.abs(np.nan_to_num(inputs)).max(axis=1)
     return np.asarray(sizes < REST_FRACTION * sizes.max())
+
+
+def extent(trials: Ints, inputs: Floats, markers: int) -> str:
+    """
+    Say how much was measured: '12 postures (one at rest) x 3 to 5 trials x 15 markers'.
+
+    Of postures with trials (P,) and inputs (P, m) [N] or [m]; those without a trial do not count.
+    """
+    measured = trials > 0
+    few, many = int(trials[measured].min()), int(trials.max())
+    each = counted(many, 'trial')
+    parts = [postures(int(measured.sum()), int(at_rest(inputs)[measured].sum()))]
+    parts += [each if few == many else f'{few} to {each}', counted(markers, 'marker')]
+    return ' x '.join(parts)
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,14 @@ import numpy as np
 
 from ..common.arrays import Floats, Ints
 from ..common.errors import DataSetError, place, refusal
-from ..common.files import new_file, shared_file
+from ..common.files import shared_file, write_picture
 from ..common.local_stop import SILENCE_S
 from ..common.words import listing
 from ..robot import Robot, RobotLike, load_robot, parse_robot
 from .arrays import PLAUSIBLE_FACTOR, Marker, default_markers, too_tense
 from .bag_reader import Recording, Topics, is_bag, read_bag, refuse_two_senders, with_markers
 from .bag_writer import DESCRIPTION, ROBOT
-from .dataset import EXPECTED, LIMITS, DataSet, HasDataSet, Part, as_dataset
+from .dataset import EXPECTED, LIMITS, DataSet, HasDataSet, Part, as_dataset, extent
 from .folder import describe, read_fields, read_folder
 from .still_segments import ArmMotion, Rule, Segment, find_segments, never_still, segments_dataset
 from .tracker_faults import undo_exchanges, undo_renumbering, without_unseen_readings
@@ -281,16 +281,13 @@ def draw_segments(imported: Imported, path: str | Path) -> Path:
         axes.spines[['top', 'right']].set_visible(False)
     figure.legend(loc='outside lower right', ncols=6, fontsize='small')
     figure.suptitle(summary(imported), x=0.01, ha='left', fontsize='large')
-    with new_file(Path(path)) as draft:
-        figure.savefig(draft, dpi=110)
-    return Path(path)
+    return write_picture(figure, path, 110)
 
 
 def summary(imported: Imported) -> str:
     """Summarise the import in one line."""
-    trials = imported.dataset.trials
-    each = f'{trials.min()}' if trials.min() == trials.max() else f'{trials.min()}..{trials.max()}'
-    size = f'{len(trials)} postures x {each} trials x {len(imported.dataset.markers)} markers'
+    dataset = imported.dataset
+    size = extent(dataset.trials, dataset.inputs, len(dataset.markers))
     return f'{len(imported.segments)} still segments: {size}'
 
 

@@ -15,6 +15,7 @@ from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError, refusal
 from ..common.processes import one_thread
 from ..common.results import TextResult, make_frame, plain
+from ..common.words import mm
 from ..data import DataSet, DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..inference.candidates import Candidate, why_untested
@@ -52,10 +53,8 @@ class Addition(TextResult):
 
     def __repr__(self) -> str:
         """Say what was added, and how the errors fell."""
-        errors = '; '.join(
-            f'{e.kind}: {1e3 * e.before:.3g} mm -> {1e3 * e.after:.3g} mm'
-            for e in (self.fitted, self.check)
-        )
+        each = self.fitted, self.check
+        errors = '; '.join(f'{e.kind}: {mm(e.before)} -> {mm(e.after)}' for e in each)
         return f'<Addition of {", ".join(self.values)} to {self.robot.name}: {errors}>'
 
     def frame(self) -> Any:

@@ -16,7 +16,7 @@ from ..common.arrays import Floats
 from ..common.colours import ERROR, GOOD, HELD_OUT, PREDICTED
 from ..common.files import write_text
 from ..common.results import TextResult, make_frame, plain
-from ..common.words import LISTED_MAX
+from ..common.words import LISTED_MAX, mm
 from ..effects import Catalogue
 from ..inference.description import PROFILE
 from ..inference.intervals import LoadVector, Value, Values
@@ -122,11 +122,8 @@ class Diagnosis(TextResult):
         rows = [f'{effect!r}' for effect in self.effects]
         if self.cannot_tell_apart:
             rows.append(f'cannot be told apart: {", ".join(self.cannot_tell_apart)}')
-        before, after, floor = (
-            f'{1e3 * error:.3g} mm'
-            for error in (self.error_before, self.error_after, self.noise_floor)
-        )
-        rows += [f'error {before} -> {after}, noise floor {floor}', self.remainder]
+        errors = f'error {mm(self.error_before)} -> {mm(self.error_after)}'
+        rows += [f'{errors}, noise floor {mm(self.noise_floor)}', self.remainder]
         return f'<Diagnosis {self.verdict}: {"; ".join(filter(None, rows))}>'
 
     @property
@@ -252,8 +249,8 @@ class Improvement(TextResult):
     def __repr__(self) -> str:
         """Return the effects that joined, and the left-out error before and after."""
         names = ', '.join(step.joined for step in self.steps[1 : self.taken + 1])
-        before, after = (1e3 * total(self.steps[k].left_out) for k in (0, self.taken))
-        return f'<Improvement by {names or "nothing"}: left out {before:.3g} -> {after:.3g} mm>'
+        before, after = (mm(total(self.steps[k].left_out)) for k in (0, self.taken))
+        return f'<Improvement by {names or "nothing"}: left out {before} -> {after}>'
 
     @property
     def falling(self) -> dict[str, list[float]]:

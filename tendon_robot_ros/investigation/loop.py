@@ -32,7 +32,7 @@ from ..inference.candidates import acts
 from ..inference.noise import Noise
 from ..model.model import Model
 from ..monitoring.change import ChangeFinder
-from ..report.diagnosis_page import diagnosis_page, pictures_of, with_effects
+from ..report.diagnosis_page import diagnosis_page, with_effects
 from ..report.diagnosis_text import addition_warnings, never_used
 from ..robot import dump_robot
 from ..robot.estimates import MODEL_ERROR_MAX, natural_sizes
@@ -349,7 +349,7 @@ class Investigation:
                 send = f'send it to the robot: controller parameter model := {better}'
                 text.append(send)
         if diagnosis is not None and importlib.util.find_spec('plotly') is not None:
-            pictures = pictures_of(diagnosis, self.dataset, self.catalogue, added)
-            diagnosis_page(diagnosis, pictures, added, send).write(folder / REPORT)
+            page = diagnosis_page(diagnosis, self.dataset, self.catalogue, added, send)
+            page.write(folder / REPORT)
             written.append(REPORT)
         return [*text, f'written: {folder}: {", ".join(written)}']

@@ -78,7 +78,7 @@ def work(folder: Path, effects: Sequence[str]) -> None:
 
     diagnosis = diagnose(dataset, None, catalogue, 1, DiagnosisProgress())
     diagnosis.save(folder / RESULT)
-    report, sentence = _report(diagnosis, folder / REPORT), verdict(diagnosis)
+    report, sentence = _report(folder / REPORT, diagnosis), verdict(diagnosis)
     send('verdict', sentence, content=diagnosis.to_json() | {
         'sentence': sentence, 'lines': lines(diagnosis), 'report': report,
         'colour': diagnosis.verdict.colour, 'guide': guide_of(diagnosis.verdict, folder),
@@ -94,10 +94,7 @@ def work(folder: Path, effects: Sequence[str]) -> None:
         send('addition', f'ready to add {listed(names)}', file=str(folder / BETTER), effects=names,
              partial=partial, before=check.before, after=check.after)  # fmt: skip
         if report:  # once more, with pictures and the error after the addition
-            from ..report.diagnosis_page import pictures_of
-
-            pictures = pictures_of(diagnosis, dataset, catalogue, addition)
-            _report(diagnosis, folder / REPORT, addition, pictures)
+            _report(folder / REPORT, diagnosis, dataset, catalogue, addition)
 
 
 def guide_of(verdict: Verdict, folder: Path) -> str:
@@ -108,13 +105,13 @@ def guide_of(verdict: Verdict, folder: Path) -> str:
     return f'{verdict.guide} What lowers the error all the same, effect by effect: {command}'
 
 
-def _report(diagnosis: Any, path: Path, addition: Any = None, pictures: Any = None) -> str:
-    """Write the HTML report where the report extra is installed; return its path or ''."""
+def _report(path: Path, *shown: Any) -> str:
+    """Write the page of a diagnosis where the report extra is installed; return its path or ''."""
     if importlib.util.find_spec('plotly') is None:
         return ''
     from ..report.diagnosis_page import diagnosis_page
 
-    diagnosis_page(diagnosis, pictures, addition).write(path)
+    diagnosis_page(*shown).write(path)
     return str(path)
 
 

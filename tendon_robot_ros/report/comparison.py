@@ -11,9 +11,9 @@ import numpy as np
 
 from ..common.arrays import Floats, interpolated
 from ..common.colours import BAD, FLOOR, MEASURED, WARN, line_style
-from ..common.words import PROGRAM, capital, columns, digits, mm, postures, probability, times
+from ..common.words import PROGRAM, capital, columns, digits, mm, probability, times
 from ..comparison.result import Comparison, ModelErrors
-from ..data.dataset import at_rest
+from ..data.dataset import extent
 from ..diagnosis.verdict import SAME_ERROR_RATIO
 from ..inference.statistics import PairedT
 from ..model.shape import bending_azimuth, views_of
@@ -50,13 +50,8 @@ def lines(comparison: Comparison) -> list[str]:
 
 def size(comparison: Comparison) -> str:
     """Describe the number of postures, trials and markers."""
-    measured, visited = comparison.measured, comparison.measured.trials > 0
-    minimum, maximum = int(measured.trials[visited].min()), int(measured.trials.max())
-    trials = f'{maximum}' if minimum == maximum else f'{minimum} to {maximum}'
-    parts = (trials, 'trial'), (len(measured.markers), 'marker')
-    counts = [f'{n} {name}{"" if str(n) == "1" else "s"}' for n, name in parts]
-    resting = int(at_rest(measured.inputs)[visited].sum())
-    return ' x '.join([postures(int(visited.sum()), resting), *counts])
+    measured = comparison.measured
+    return extent(measured.trials, measured.inputs, len(measured.markers))
 
 
 def label(model: ModelErrors) -> str:

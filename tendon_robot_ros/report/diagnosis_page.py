@@ -91,7 +91,8 @@ def with_effects(diagnosis: Diagnosis, robot: Robot, catalogue: Catalogue) -> Ro
 
 def diagnosis_page(
     diagnosis: Diagnosis,
-    pictures: Pictures | None = None,
+    dataset: DataSet | None = None,
+    catalogue: Catalogue | None = None,
     addition: Addition | None = None,
     outcome: str = '',
 ) -> Page:
@@ -101,8 +102,9 @@ def diagnosis_page(
     Parameters
     ----------
     diagnosis : Diagnosis
-    pictures : Pictures, optional
-        Without them the page has words and tables only.
+    dataset : DataSet, optional
+        With the description that was judged; without it the page has words and tables only.
+    catalogue : Catalogue, optional
     addition : Addition, optional
         What was added, with the errors on postures that were not used.
     outcome : str
@@ -114,8 +116,8 @@ def diagnosis_page(
     if diagnosis.verdict.judged:
         add_staircase(page, diagnosis, addition)
         add_alternatives(page, diagnosis)
-    if pictures is not None:
-        add_pictures(page, pictures, diagnosis)
+    if dataset is not None and (seen := pictures_of(diagnosis, dataset, catalogue, addition)):
+        add_pictures(page, seen, diagnosis)
     if sentences := [*diagnosis_text.declared(diagnosis), *trust_lines(diagnosis)]:
         page.heading('What this rests on')
         page.text(*map(capital, sentences))

@@ -391,13 +391,8 @@ def trust_lines(diagnosis: Diagnosis) -> list[str]:
 
 def addition_lines(addition: Addition) -> list[str]:
     """Return values, errors, tolerances and warnings."""
-    lines = [
-        f'{name}: {sentences.quantities(values, addition.loads.get(name))}'
-        for name, values in addition.values.items()
-    ]
-    lines.append(error_table(addition))
-    lines += addition_warnings(addition)
-    return lines
+    values = sentences.of_effects(addition.values, addition.loads)
+    return [*values, error_table(addition), *addition_warnings(addition)]
 
 
 def error_table(addition: Addition) -> str:

@@ -19,7 +19,7 @@ from .comparison import add_shapes, interval
 from .diagnosis_text import model_error_note
 from .error_plots import per_marker, per_posture
 from .page import Figure, Page, Shown, axes, mm_list, titled, trace
-from .sentences import as_built, excluded_lines, quantities, where_wrong
+from .sentences import as_built, excluded_lines, of_effects, where_wrong
 
 NOT_WRITTEN = 'Nothing was written: there is no step that lowers the error on left-out postures.'
 
@@ -27,14 +27,8 @@ NOT_WRITTEN = 'Nothing was written: there is no step that lowers the error on le
 def improvement_lines(improvement: Improvement) -> list[str]:
     """Return the table of the steps, values, and what remains."""
     lines = [columns(step_table(improvement)), *sentences(improvement)]
-    lines += [f'{name}: {text}' for name, text in _values(improvement)]
+    lines += of_effects(improvement.values, improvement.loads)
     return [*lines, *profile(improvement), *as_built(improvement.as_built), *remains(improvement)]
-
-
-def _values(improvement: Improvement) -> list[tuple[str, str]]:
-    """Return effects and their values in words."""
-    loads = improvement.loads
-    return [(name, quantities(own, loads.get(name))) for name, own in improvement.values.items()]
 
 
 def step_table(improvement: Improvement) -> list[list[str]]:
@@ -123,7 +117,7 @@ def improvement_page(improvement: Improvement, dataset: DataSet, catalogue: Cata
     kinds = [*[''] * improvement.taken, 'strong', *['faint'] * len(improvement.steps)]
     page.table(step_table(improvement), kinds, left=[0])
     page.heading('Values')
-    page.text(*(f'`{name}`: {text}' for name, text in _values(improvement)))
+    page.text(*of_effects(improvement.values, improvement.loads, '`'))
     page.text(*map(capital, [*profile(improvement), *as_built(improvement.as_built)]))
     page.heading('What remains')
     page.text(*map(capital, remains(improvement)))

@@ -15,7 +15,7 @@ import numpy as np
 from ..common.arrays import Floats, evenly, interpolated
 from ..common.colours import COLOURS, ERROR, FLOOR, INK, MEASURED, PREDICTED
 from ..common.errors import NoEquilibriumError
-from ..common.files import new_file
+from ..common.files import write_picture
 from ..common.words import columns
 from ..data.path_files import PathRun
 from ..model.shape import plot_arms
@@ -49,7 +49,7 @@ def draw_robot(model: Model, path: Path) -> Figure:
         draw_postures(side, model, spatial)
         draw_cross_section(figure.add_subplot(2, 1, 2), model)
         figure.suptitle(model.robot.name)
-        figure.savefig(path, dpi=dots)
+        write_picture(figure, path, dots)
     return figure
 
 
@@ -226,9 +226,7 @@ def draw_run(run: PathRun, path: str | Path, title: str) -> Path:
         axes.spines[['top', 'right']].set_visible(False)
         axes.grid(alpha=0.25)
     figure.suptitle(title, x=0.01, ha='left', fontsize='medium')
-    with new_file(Path(path)) as draft:
-        figure.savefig(draft, dpi=dots)
-    return Path(path)
+    return write_picture(figure, path, dots)
 
 
 def draw_side(axes: Any, run: PathRun, axis: int) -> None:

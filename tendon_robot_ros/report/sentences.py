@@ -17,7 +17,7 @@ import numpy as np
 from ..common.words import commands, digits, listed, mm, scale_of, spoken, with_unit
 from ..comparison.result import Comparison
 from ..diagnosis.verdict import FALSE_DISCOVERY_RATE
-from ..inference.intervals import LoadVector, Value
+from ..inference.intervals import LoadVector, Value, Values
 from ..robot.estimates import BY_EYE_RAD
 from .page import Shown
 
@@ -69,6 +69,12 @@ def quantities(values: Mapping[str, Value], load: LoadVector | None = None) -> s
     """Format the parameters of an effect; of a force also its size and direction."""
     texts = [quantity(name, v, _largest(values, v.unit)) for name, v in values.items()]
     return ', '.join([*texts, *([] if load is None else [f'together {load_words(load)}'])])
+
+
+def of_effects(values: Values, loads: Mapping[str, LoadVector], mark: str = '') -> list[str]:
+    """Say the values of effects, a line each; `mark` stands around their names."""
+    said = {name: quantities(own, loads.get(name)) for name, own in values.items()}
+    return [f'{mark}{name}{mark}: {text}' for name, text in said.items()]
 
 
 class _Found:

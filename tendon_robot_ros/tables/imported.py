@@ -15,9 +15,9 @@ from ..common.arrays import Floats
 from ..common.colours import COLOURS, GOOD, LEFT_OUT, MEASURED, PREDICTED, REST
 from ..common.results import TextResult
 from ..common.rotations import rotation_angle
-from ..common.words import LISTED_MAX, columns, mm, postures
+from ..common.words import LISTED_MAX, columns, mm
 from ..data import DataSet, save_dataset
-from ..data.dataset import at_rest
+from ..data.dataset import extent
 from ..inference.session import POSTURES_MAX
 from ..robot import Robot
 from .columns import marker_label
@@ -260,13 +260,10 @@ def columns_table(recipe: Recipe, chosen: Selection) -> str:
 
 def measurement_line(dataset: DataSet, measured: StillMeasurements) -> str:
     """Describe the number of measurements and of the still segments behind them."""
-    trials = dataset.trials
-    each = ' to '.join(str(count) for count in sorted({trials.min(), trials.max()}))
     rule = measured.rule
     total = len(measured.segments) + sum(len(piece.resting) for piece in measured.pieces)
     still = f'{len(measured.segments)} of {total} times that the arm stood still'
-    resting = int(at_rest(dataset.inputs).sum())
-    size = f'{postures(len(trials), resting)} x {each} trials x {len(dataset.markers)} markers'
+    size = extent(dataset.trials, dataset.inputs, len(dataset.markers))
     if measured.pieces[0].motion is None:
         return f'{size}, a row each'
     return f'{size}: {still} (slower than {1e3 * rule.speed:.2g} mm/s for {rule.duration:g} s)'

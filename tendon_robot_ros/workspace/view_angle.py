@@ -248,38 +248,36 @@ class Workspace:
         ]
         return {**{name: getattr(self, name) for name in first}, 'families': families}
 
+    def save(self, folder: Path) -> None:
+        """
+        Write `postures.csv` and `workspace.npz` into a folder.
 
-def save_workspace(workspace: Workspace, folder: Path) -> None:
-    """
-    Write `postures.csv` and `workspace.npz` into a folder.
-
-    The arrays of the npz have one row per kept posture: `tensions` [N], `bend` [rad],
-    `positions` [m], `angle` [rad], `view` [rad], `side`, `pair` (index into `pairs`).
-    """
-    inputs = workspace.robot.inputs
-    with (folder / WORKSPACE_FILES[0]).open('w', newline='', encoding='utf-8') as file:
-        writer = csv.writer(file)
-        writer.writerow(['view', 'pair', *inputs, 'angle', 'x', 'y', 'z'])
-        for family in workspace.families:
-            first = f'{family.view:.6g}', ' + '.join(family.pair.inputs)
-            table = np.column_stack([family.tensions, family.angle, family.tips])
-            writer.writerows([*first, *(f'{value:.6g}' for value in row)] for row in table)
-    n, m = workspace.robot.cells, len(inputs)
-    empty = {'tensions': (0, m), 'bend': (0, n, 2), 'positions': (0, n, 3), 'angle': (0,)}
-    families = workspace.families
-    arrays: dict[str, Any] = {
-        name: np.concatenate([np.zeros(shape), *(getattr(family, name) for family in families)])
-        for name, shape in empty.items()
-    }
-    for name, values in (
-        ('view', [family.view for family in families]),
-        ('side', [family.side for family in families]),
-        ('pair', [workspace.pairs.index(family.pair) for family in families]),
-    ):
-        arrays[name] = np.repeat(values, [len(family) for family in families])
-    pairs = [' + '.join(pair.inputs) for pair in workspace.pairs]
-    arrays |= {'inputs': np.array(inputs), 'pairs': np.array(pairs)}
-    np.savez_compressed(folder / WORKSPACE_FILES[1], **arrays)
+        The arrays of the npz have one row per kept posture: `tensions` [N], `bend` [rad],
+        `positions` [m], `angle` [rad], `view` [rad], `side`, `pair` (index into `pairs`).
+        """
+        inputs, families = self.robot.inputs, self.families
+        with (folder / WORKSPACE_FILES[0]).open('w', newline='', encoding='utf-8') as file:
+            writer = csv.writer(file)
+            writer.writerow(['view', 'pair', *inputs, 'angle', 'x', 'y', 'z'])
+            for family in families:
+                first = f'{family.view:.6g}', ' + '.join(family.pair.inputs)
+                table = np.column_stack([family.tensions, family.angle, family.tips])
+                writer.writerows([*first, *(f'{value:.6g}' for value in row)] for row in table)
+        n, m = self.robot.cells, len(inputs)
+        empty = {'tensions': (0, m), 'bend': (0, n, 2), 'positions': (0, n, 3), 'angle': (0,)}
+        pairs = [' + '.join(pair.inputs) for pair in self.pairs]
+        arrays: dict[str, Any] = {'inputs': np.array(inputs), 'pairs': np.array(pairs)}
+        for name, shape in empty.items():
+            parts = (getattr(family, name) for family in families)
+            arrays[name] = np.concatenate([np.zeros(shape), *parts])
+        each: dict[str, list[float]] = {
+            'view': [family.view for family in families],
+            'side': [family.side for family in families],
+            'pair': [self.pairs.index(family.pair) for family in families],
+        }
+        counts = [len(family) for family in families]
+        arrays |= {name: np.repeat(values, counts) for name, values in each.items()}
+        np.savez_compressed(folder / WORKSPACE_FILES[1], **arrays)
 
 
 class Posture(NamedTuple):

@@ -35,7 +35,7 @@ from ..model.shape import ShapeBatch
 from ..robot import Robot, dump_robot, parse_robot
 from ..robot.description import tendon_offsets
 from .cubes import SPHERE_PART_COUNT, Cubes, Reached, beyond, folds, sphere_part
-from .view_angle import POSTURES_MAX, is_flat
+from .view_angle import POSTURES_MAX, WORKSPACE_FILES, is_flat
 
 # [1] postures wanted for every cube: with fewer some stay empty by chance
 POSTURES_PER_CUBE = 10
@@ -400,19 +400,19 @@ class Volume:
             'views': [{'view': view, **part.to_json()} for view, part in self.views.items()],
         }
 
-
-def save_volume(volume: Volume, folder: Path, names: tuple[str, str]) -> None:
-    """Write a table of the cubes (CSV) and all arrays (npz), in m, N and rad."""
-    reached = volume.reached
-    head = [*volume.robot.inputs, 'x', 'y', 'z', 'direction_x', 'direction_y', 'direction_z']
-    table = np.column_stack([reached.tensions, reached.tips, reached.directions, reached.looks])
-    header = ','.join([*head, 'looks'])
-    np.savetxt(folder / names[0], table, '%.6g', ',', header=header, comments='')
-    arrays: dict[str, Any] = {'inputs': np.array(volume.robot.inputs), 'edge': reached.edge}
-    parts = {'': reached, 'frictionless_': volume.frictionless}
-    parts |= {f'view_{i}_': part for i, part in enumerate(volume.views.values())}
-    for start, part in parts.items():
-        if part is not None:
-            for name in ('cells', 'tensions', 'tips', 'directions', 'looks'):
-                arrays[start + name] = getattr(part, name)
-    np.savez_compressed(folder / names[1], **arrays, views=np.array(list(volume.views)))
+    def save(self, folder: Path) -> None:
+        """Write a table of the cubes (CSV) and all arrays (npz), in m, N and rad."""
+        reached = self.reached
+        head = [*self.robot.inputs, 'x', 'y', 'z', 'direction_x', 'direction_y', 'direction_z']
+        parts = reached.tensions, reached.tips, reached.directions, reached.looks
+        header = ','.join([*head, 'looks'])
+        table, arrays_file = (folder / name for name in WORKSPACE_FILES)
+        np.savetxt(table, np.column_stack(parts), '%.6g', ',', header=header, comments='')
+        arrays: dict[str, Any] = {'inputs': np.array(self.robot.inputs), 'edge': reached.edge}
+        every = {'': reached, 'frictionless_': self.frictionless}
+        every |= {f'view_{i}_': part for i, part in enumerate(self.views.values())}
+        for start, part in every.items():
+            if part is not None:
+                for name in ('cells', 'tensions', 'tips', 'directions', 'looks'):
+                    arrays[start + name] = getattr(part, name)
+        np.savez_compressed(arrays_file, **arrays, views=np.array(list(self.views)))

@@ -20,7 +20,7 @@ import numpy as np
 from ...common.arrays import Floats
 from ...common.colours import COLOURS, ERROR
 from ...common.errors import TendonRobotError
-from ...common.files import new_file
+from ...common.files import write_picture
 from ...common.rotations import angle_between
 from ...control.loading import load
 from ...effects import load_catalogue
@@ -140,5 +140,4 @@ def draw(path: Path, model: Model, outcomes: Sequence[Outcome]) -> None:
     axes.legend(fontsize='small')
     axes.grid(alpha=0.3)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with new_file(path) as draft:
-        figure.savefig(draft, dpi=120)
+    write_picture(figure, path, 120)
