@@ -18,8 +18,8 @@ from ..comparison.compare import bending_axes, equilibria
 from ..comparison.result import Measured
 from ..data import DataSet
 from ..effects import Catalogue
+from ..inference.crossval import predict
 from ..inference.imperfections import BEND_MAX_RAD
-from ..inference.predict import Predictor
 from ..model.shape import ShapeBatch
 from ..robot import Robot
 from .placed import in_base_frame
@@ -61,10 +61,8 @@ def missing_moment(
     """
     if measured.floor is None:
         return None
-    predictor = Predictor(dataset, robot, catalogue)
-    markers = predictor.markers({})
+    predictor, markers = predict(dataset, robot, catalogue)
     shapes = equilibria(predictor)
-    assert markers is not None  # `equilibria` has raised
     arm = _Arm(shapes, dataset)
     edges = blocks_of(robot, len(dataset.markers))
     below = robot.plate_cells
@@ -152,8 +150,6 @@ class _Arm:
             self.arc_lengths[None, :, None] > self.middle[:, None, None]
         )
         visible = np.isfinite(residual).all(axis=1)
-        if not visible.any():
-            return np.full(len(edges), np.nan), np.full(len(edges), np.nan)
         columns = [(moves[a:b].sum(axis=0) / sd[:, None])[visible].ravel() for a, b in edges]
         slopes = np.array(columns).T
         normal = slopes.T @ slopes + np.eye(len(edges)) * 1e-9
