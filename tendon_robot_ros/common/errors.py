@@ -6,6 +6,7 @@ Each error is one line that says what, where and what to do.
 
 from __future__ import annotations
 
+import importlib
 import math
 import operator
 import os
@@ -110,6 +111,14 @@ class MissingExtraError(TendonRobotError):
         super().__init__(
             f'{package} is not installed; type: python -m pip install "tendon_robot_ros[{extra}]"'
         )
+
+
+def of_extra(extra: str, module: str) -> Any:
+    """Return a module of an optional dependency; MissingExtraError where it is not installed."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise MissingExtraError(module.partition('.')[0], extra) from None
 
 
 Progress = Callable[[str, int, int], None]  # called with what is done, steps done, steps in all

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
-from .errors import MissingExtraError
+from .errors import of_extra
 from .files import file_to_write, write_text
 
 # Imported by name when `text` is called, because `report` imports the results.
@@ -34,21 +34,13 @@ class TextResult:
 
 def pandas() -> Any:
     """Return the package pandas; MissingExtraError where it is not installed."""
-    return of_the_tables('pandas')
+    return of_extra('tables', 'pandas')
 
 
 def arrow() -> Any:
     """Return pyarrow with its Parquet; MissingExtraError where it is not installed."""
-    of_the_tables('pyarrow.parquet')
-    return of_the_tables('pyarrow')
-
-
-def of_the_tables(name: str) -> Any:
-    """Return a package of the extra `tables`; MissingExtraError where it is not installed."""
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        raise MissingExtraError(name.split('.')[0], 'tables') from None
+    of_extra('tables', 'pyarrow.parquet')
+    return of_extra('tables', 'pyarrow')
 
 
 def make_frame(

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from .errors import ClusterLostError, InputError, MissingExtraError
+from .errors import ClusterLostError, InputError, of_extra
 from .processes import UPKEEP_S, end_with_parent, one_thread
 
 # [1] workers that may die over a chunk, else one that kills its worker would be tried for ever
@@ -289,10 +289,7 @@ def _check_certificates(address: str) -> None:
 
 class _Cluster:
     def __init__(self, address: str) -> None:
-        try:
-            import distributed
-        except ImportError:
-            raise MissingExtraError('distributed', 'cluster') from None
+        distributed = of_extra('cluster', 'distributed')
         self.address, self.checked_at = address, 0.0
         for part in ('client', 'utils'):  # their tracebacks are replaced by one line
             logging.getLogger(f'distributed.{part}').setLevel(logging.CRITICAL)

@@ -149,23 +149,20 @@ class Comparison(TextResult):
         Columns `model`, `posture`, `marker`, `arc_length`, `measured_x` to `measured_z` (the mean
         of the trials), `predicted_x` to `predicted_z`, `error`; lengths in metres.
         """
-        measured = self.measured
-        P, J = measured.mean.shape[:2]
-        tables = []
-        for model in self.models:
-            table: dict[str, Any] = {
-                'model': np.full(P * J, model.name, dtype=object),
-                'posture': np.repeat(np.array(measured.postures, dtype=object), J),
-                'marker': np.tile(np.array(measured.markers, dtype=object), P),
-                'arc_length': np.tile(measured.arc_lengths, P),
-            }
-            for what, places in (('measured', measured.mean), ('predicted', model.markers)):
-                columns = places.reshape(-1, 3).T
-                table |= {f'{what}_{axis}': c for axis, c in zip('xyz', columns, strict=True)}
-            tables.append(table | {'error': model.distance.ravel()})
-        joined = {key: np.concatenate([table[key] for table in tables]) for key in tables[0]}
+        measured, models = self.measured, self.models
+        k, p, j = np.indices((len(models), *measured.mean.shape[:2])).reshape(3, -1)
+        columns: dict[str, Any] = {
+            'model': np.array([one.name for one in models], dtype=object)[k],
+            'posture': np.array(measured.postures, dtype=object)[p],
+            'marker': np.array(measured.markers, dtype=object)[j],
+            'arc_length': measured.arc_lengths[j],
+        }
+        places = measured.mean[p, j], np.array([one.markers for one in models])[k, p, j]
+        for what, positions in zip(('measured', 'predicted'), places, strict=True):
+            columns |= {f'{what}_{axis}': positions[:, i] for i, axis in enumerate('xyz')}
+        columns['error'] = np.array([one.distance for one in models])[k, p, j]
         ordered = {'posture': measured.postures, 'marker': measured.markers}
-        return make_frame(joined, dict.fromkeys(list(joined)[3:], 'm'), ordered)
+        return make_frame(columns, dict.fromkeys(list(columns)[3:], 'm'), ordered)
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """

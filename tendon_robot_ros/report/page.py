@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.colours import ERROR, INK, KINDS, LineStyle
-from ..common.errors import MissingExtraError
+from ..common.errors import of_extra
 from ..common.files import write_text
 
 Trace = dict[str, Any]  # what plotly draws, or a part of its layout
@@ -247,11 +247,7 @@ class Page:
 @cache
 def plotly_source() -> str:
     """Return plotly's JavaScript, which every page carries inside."""
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError:
-        raise MissingExtraError('plotly', 'report') from None
-    return str(get_plotlyjs())
+    return str(of_extra('report', 'plotly.offline').get_plotlyjs())
 
 
 def symbol(colour: str, dash: str = '', dot: bool = False) -> str:

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Floats
-from ..common.errors import DataSetError, MissingExtraError, reason_of, short
+from ..common.errors import DataSetError, of_extra, reason_of, short
 from ..common.files import TABLE_ENDINGS, TEXT_ENDINGS
-from ..common.results import of_the_tables, pandas
+from ..common.results import arrow, pandas
 from ..common.words import find_unit, listing
 from .columns import (
     DERIVED,
@@ -81,10 +81,10 @@ def read_tables(path: str | Path) -> list[RawTable]:
         raise DataSetError(shown, 'is empty', 'export it again')
     ending = path.suffix.lower()
     if ending == '.parquet':
+        arrow()  # by which pandas reads it
+        package = pandas()
         try:
-            frame = pandas().read_parquet(path)
-        except ImportError:
-            raise MissingExtraError('pyarrow', 'tables') from None
+            frame = package.read_parquet(path)
         except Exception as error:  # a damaged file can fail anywhere in the parser
             problem = f'is no Parquet file ({reason_of(error)})'
             raise DataSetError(shown, problem, 'export it again') from None
@@ -311,7 +311,7 @@ def read_c3d(shown: str, path: Path) -> RawTable:
         The package ezc3d is not installed.
 
     """
-    ezc3d = of_the_tables('ezc3d')
+    ezc3d = of_extra('tables', 'ezc3d')
     try:
         content = ezc3d.c3d(str(path))
     except Exception as error:  # a damaged file can fail anywhere in the parser

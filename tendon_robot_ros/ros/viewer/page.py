@@ -13,7 +13,7 @@ import numpy as np
 
 from ...common.arrays import Floats
 from ...common.colours import BAD, ERROR, GOOD, INK, MEASURED, ORANGE, PREDICTED, rgb
-from ...common.errors import DriverError, MissingExtraError
+from ...common.errors import DriverError, of_extra
 from . import page_parts
 from .state import ViewState
 
@@ -97,10 +97,7 @@ class LivePage:
 
     def __init__(self, host: str, port: int, token: str, size: float = 1.0) -> None:
         """Open the port."""
-        try:
-            import viser
-        except ImportError:
-            raise MissingExtraError('viser', 'viewer') from None
+        viser = of_extra('viewer', 'viser')
         try:
             self._server = viser.ViserServer(host=host, port=port, verbose=False)
         except OSError as error:
