@@ -15,7 +15,7 @@ from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError, refusal
 from ..common.processes import one_thread
 from ..common.results import TextResult, make_frame, plain
-from ..common.words import mm
+from ..common.words import mm, probability
 from ..data import DataSet, DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..inference.candidates import Candidate, why_untested
@@ -108,7 +108,7 @@ def with_origin(addition: Addition, before: Robot) -> Robot:
 
 
 def more_at_work(
-    errors: Errors, probability: float, dataset: DataSet, squares: Floats, noise: float
+    errors: Errors, chance: float, dataset: DataSet, squares: Floats, noise: float
 ) -> tuple[str, float | None]:
     """
     Return the note that other effects act as well, and the error [m] of the model at the tip.
@@ -116,14 +116,10 @@ def more_at_work(
     By the squared errors (P, J) [m²] of postures left out, of which `noise` makes an rms [m].
     """
     floor = errors.floor or 0.0
-    residual = (
-        f'{errors.after / floor:.1f} times the noise'
-        if floor > 0.0
-        else f'{1e3 * errors.after:.2g} mm'
-    )
+    left = f'{errors.after / floor:.1f} times the noise' if floor > 0.0 else mm(errors.after, 2)
     note = (
-        f'more is at work than these effects: what is left on the fitted postures is {residual} '
-        f'(p = {probability:.1g})'
+        f'more is at work than these effects: what is left on the fitted postures is {left} '
+        f'({probability(chance)})'
     )
     return note, model_error_of(dataset, squares, noise)
 
@@ -208,7 +204,7 @@ def add_effects(
     point = found_values(found, session.catalogue, session.robot) if whole else None
     settled = settle(session, names, point)
     session, fit, descriptions = settled.session, settled.fit, settled.descriptions
-    probability, scale = settled.probability, settled.scale
+    chance, scale = settled.probability, settled.scale
     values = values_with_intervals(session.fitter, fit, scale)
     fitted = errors_on(session.dataset, described, descriptions, session.catalogue, 'fitted')
     if other is not None:
@@ -217,9 +213,9 @@ def add_effects(
         alone = descriptions.alone_left_out if descriptions.beside else None
         on_check = replace(fitted, kind='left out', alone=alone, after=descriptions.left_out)
     more, error = '', None
-    if partial or probability <= P_SINGLE_MIN:
+    if partial or chance <= P_SINGLE_MIN:
         squares, noise = descriptions.left_out_squares, session.whitener.floor()
-        more, error = more_at_work(fitted, probability, dataset, squares, noise)
+        more, error = more_at_work(fitted, chance, dataset, squares, noise)
     by = session.dataset.accuracy if session.use_accuracy else None
     loads, moved = loads_of(fit, session.predictor, scale), fit.prior_z
     added = Addition(
@@ -227,7 +223,7 @@ def add_effects(
         values,
         fitted,
         on_check,
-        probability,
+        chance,
         moved,
         more,
         error,

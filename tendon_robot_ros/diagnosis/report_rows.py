@@ -56,15 +56,12 @@ def remainder_text(
     session, outside = fits.session, decision.verdict is Verdict.OUTSIDE_CATALOGUE
     floor = session.whitener.floor()
     is_noise = residual < SAME_ERROR_RATIO * floor
-    text = f'What is left ({1e3 * residual:.2f} mm) ' + (
-        f'equals your repeatability ({1e3 * floor:.2f} mm).'
-        if is_noise
-        else f'is {residual / floor:.1f} times your repeatability ({1e3 * floor:.2f} mm).'
-    )
-    if not outside and not is_noise and (accounted := _accounted(session, residual, arm)):
-        return f'{text} {accounted}'
+    left, repeatability = (f'({1e3 * error:.2f} mm)' for error in (residual, floor))
+    size = 'equals' if is_noise else f'is {residual / floor:.1f} times'
+    text = f'What is left {left} {size} your repeatability {repeatability}.'
     if not outside:
-        return text
+        accounted = '' if is_noise else _accounted(session, residual, arm)
+        return f'{text} {accounted}'.rstrip()
     repeats = session.repeats
     if fits.remembers and repeats is not None:
         return (

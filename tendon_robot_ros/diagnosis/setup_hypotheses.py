@@ -68,16 +68,11 @@ class Mistake:
 
     def text(self, before: float) -> str:
         """Return the report with the rms error [m] before and after."""
+        end = f'{1e3 * self.after:.3g} mm{self.rest}: {self.mend}'
         if not math.isfinite(before):
-            return (
-                f'the model finds no equilibrium; {self.sentence} it does, and is off by '
-                f'{1e3 * self.after:.3g} mm{self.rest}: {self.mend}'
-            )
+            return f'the model finds no equilibrium; {self.sentence} it does, and is off by {end}'
         verb = 'falls' if self.after < before else 'goes'  # up, with an effect that acts as well
-        return (
-            f'{self.sentence} the error {verb} from {1e3 * before:.3g} to '
-            f'{1e3 * self.after:.3g} mm{self.rest}: {self.mend}'
-        )
+        return f'{self.sentence} the error {verb} from {1e3 * before:.3g} to {end}'
 
 
 def off(predictor: Predictor, measured: Floats, markers: Floats) -> float:

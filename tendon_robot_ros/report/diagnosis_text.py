@@ -88,11 +88,8 @@ def declared(diagnosis: Diagnosis) -> list[str]:
     if noise.get('shift'):
         second += f', {mm(noise["shift"], 2)} of all markers of a trial together'
     second += f', inputs {digits(100.0 * noise["trial"])} % per trial'
-    second += (
-        f', {digits(100.0 * noise["setting"])} % per setting (declared)'
-        if noise['setting']
-        else '; none declared for how inputs are set'
-    )
+    setting = f', {digits(100.0 * noise["setting"])} % per setting (declared)'
+    second += setting if noise['setting'] else '; none declared for how inputs are set'
     return [first, second]
 
 

@@ -239,6 +239,9 @@ def excluded_lines(details: Mapping[str, Any]) -> list[str]:
             readings[f'marker {one["marker"]} in {where}'] = one['distance']
         else:
             trials.append(where)
+    named = [f'{what} ({mm(distance)})' for what, distance in readings.items()]
+    few = len(named) <= Shown.READINGS
+    lacking = 'left out, because the description has no equilibrium'
     contradicted = 'left out, because the other trials contradict it'
     sentences = []
     if details.get('thinned'):
@@ -247,16 +250,9 @@ def excluded_lines(details: Mapping[str, Any]) -> list[str]:
             f'{used:,} of {every:,} postures were used, evenly spread, because neighbours are '
             'alike; the error is of all'
         )
-    if unsettled:
-        sentences.append(
-            f'left out, because the description has no equilibrium: {listed(unsettled)}'
-        )
-    if trials:
-        sentences.append(f'{contradicted}: {listed(trials)}')
-    if 0 < len(readings) <= Shown.READINGS:
-        named = [f'{what} ({mm(distance)})' for what, distance in readings.items()]
-        sentences.append(f'{contradicted}: {listed(named)}')
-    elif readings:
+    groups = (lacking, unsettled), (contradicted, trials), (contradicted, named if few else [])
+    sentences += [f'{why}: {listed(names)}' for why, names in groups if names]
+    if not few:
         sentences.append(
             f'left out: {len(readings)} readings of single markers that the other trials '
             f'contradict (by up to {mm(max(readings.values()))})'
