@@ -47,34 +47,28 @@ class Pattern:
 
     def text(self, postures: Sequence[str]) -> str:
         """Return a sentence on what to check, given the names of the postures."""
+        same, like = 'The remainder is the same in every posture:', 'The remainder looks like'
         if self.name == 'soft_cell':
             much = f'{self.size:.1f} times as much as'
             if SAME_ERROR_RATIO > self.size > 1.0 / SAME_ERROR_RATIO:
                 more = 'more' if self.size > 1.0 else 'less'
                 much = f'{100.0 * abs(self.size - 1.0):.2g} % {more} than'
-            return (
-                f'The remainder is the same in every posture: cell '
-                f'{" or ".join(map(str, self.alike))} bends {much} it should. '
-                'Look at that cell.'
-            )
+            cells = ' or '.join(map(str, self.alike))
+            return f'{same} cell {cells} bends {much} it should. Look at that cell.'
         if self.name == 'taper':
             how = 'stiffer' if self.size > 0.0 else 'softer'
-            return (
-                f'The remainder is the same in every posture: the arm is {how} towards the tip, '
-                f'by {100.0 * abs(self.size):.0f} % from base to tip.'
-            )
+            by = f'{100.0 * abs(self.size):.0f} %'
+            return f'{same} the arm is {how} towards the tip, by {by} from base to tip.'
         values = np.array(self.values)
         worst = postures[int(np.argmax(np.abs(values)))]
         if self.name == 'gain_per_posture':
+            by = f'{100.0 * np.std(values):.1f} % (sd)'
             return (
-                f'The remainder looks like inputs that were not what was set: by '
-                f'{100.0 * np.std(values):.1f} % (sd) from posture to posture, most in {worst}. '
-                'Check how they are set, or declare tension_noise: setting.'
+                f'{like} inputs that were not what was set: by {by} from posture to posture, most '
+                f'in {worst}. Check how they are set, or declare tension_noise: setting.'
             )
-        return (
-            'The remainder looks like a base that turns from posture to posture: by '
-            f'{np.degrees(np.max(np.abs(values))):.1f}° in {worst}. Check the mount.'
-        )
+        most = f'{np.degrees(np.max(np.abs(values))):.1f}° in {worst}'
+        return f'{like} a base that turns from posture to posture: by {most}. Check the mount.'
 
 
 class Patterns:

@@ -173,9 +173,8 @@ def smallest_text(power: Power) -> str:
         rate = power.right[-1]
         size = digits(power.sizes[-1])
         return f'in {rate.hits} of {rate.runs} cases at {size} times the typical size'
-    if power.smallest == power.sizes[0]:
-        return f'from {digits(power.sizes[0])} times the typical size on, or less'
-    return f'from {digits(power.smallest)} times the typical size on'
+    or_less = ', or less' if power.smallest == power.sizes[0] else ''
+    return f'from {digits(power.smallest)} times the typical size on{or_less}'
 
 
 def power_lines(rows: Sequence[CaseRow]) -> list[str]:
