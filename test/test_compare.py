@@ -206,6 +206,14 @@ def test_an_error_that_begins_at_the_first_marker_is_told_at_both_ends(hinges):
     assert said.endswith(f'first marker is off by {first:.3f} mm rms, the last by {last:.2f} mm.')
 
 
+def test_of_a_single_marker_nothing_is_told_along_the_arm(hinges):
+    tip = replace(hinges, markers=hinges.markers[-1:], positions=hinges.positions[:, :, -1:])
+    found = compare(tip)
+    assert found.grows_from(found.best) == 0
+    rms = 1e3 * found.best.per_posture_rms.max()
+    assert where_worst(found).endswith(f'), rms {rms:.2f} mm.')
+
+
 def test_models_are_robots_or_pairs_with_a_name(hinges):
     robot = hinges.robot
     found = compare(hinges, [robot, replace(robot, effects={}), ('bare', robot)])

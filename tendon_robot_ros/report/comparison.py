@@ -84,7 +84,7 @@ def where_worst(comparison: Comparison) -> str:
     p = comparison.worst_posture(model)
     text = f'worst{of}: {posture_name(comparison, p)}, rms {mm(model.per_posture_rms[p])}'
     marker = comparison.grows_from(model)
-    if marker is None:
+    if marker is None or len(comparison.measured.markers) == 1:
         return f'{text}.'
     if marker == 0:
         first, last = (mm(float(model.per_marker_rms[j])) for j in (0, -1))
@@ -148,8 +148,7 @@ def paired(test: PairedT) -> str:
     better, other = test.models if test.difference < 0.0 else test.models[::-1]
     low, high = sorted((abs(test.low), abs(test.high)))
     over = 'postures' if test.posture is None else f'trials of posture {test.posture}'
-    significance = probability(test.p)
-    pairs = f'paired t over {test.n} {over}, {significance}'
+    pairs = f'paired t over {test.n} {over}, {probability(test.p)}'
     if test.low <= 0.0 <= test.high:
         return f'tip error: {better} and {other} do not differ ({pairs})'
     return (

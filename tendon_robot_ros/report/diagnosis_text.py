@@ -64,13 +64,12 @@ def declared(diagnosis: Diagnosis) -> list[str]:
     details = diagnosis.details
     if 'tolerances' not in details:
         return []
-    tolerances = [tolerance(name, size) for name, size in details['tolerances'].items()]
-    listing = ', '.join(tolerances)
+    sizes = ', '.join(tolerance(name, size) for name, size in details['tolerances'].items())
     if not details.get('exact', True):
         first = 'the arm is taken as it is built: cells, tendons and tracker may be a little off'
-        first += f'; declared (1 sd): {listing}' if tolerances else ''
-    elif tolerances:
-        first = f'declared tolerances (1 sd): {listing}; everything else is taken as exact'
+        first += f'; declared (1 sd): {sizes}' if sizes else ''
+    elif sizes:
+        first = f'declared tolerances (1 sd): {sizes}; everything else is taken as exact'
     else:
         first = 'no tolerances declared: the description is taken as exact'
     if known := details.get('model_error'):
