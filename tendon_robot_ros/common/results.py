@@ -64,6 +64,13 @@ def make_frame(
     return frame
 
 
+def picture_axes(size: tuple[float, float] | None = None, **kind: Any) -> Any:
+    """Return axes of a new picture of matplotlib [inch], of a kind as `add_subplot` takes it."""
+    from matplotlib import pyplot as plt
+
+    return plt.figure(figsize=size, layout='constrained').add_subplot(**kind)
+
+
 def plain(value: Any) -> Any:
     """
     Return a value as JSON holds it; a number that is not finite is null.

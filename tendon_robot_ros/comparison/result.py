@@ -20,7 +20,7 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from ..common.errors import InputError
 from ..common.files import read_text
-from ..common.results import TextResult, make_frame, plain
+from ..common.results import TextResult, make_frame, picture_axes, plain
 from ..common.words import mm
 from ..inference import statistics
 
@@ -177,11 +177,7 @@ class Comparison(TextResult):
         Axes
 
         """
-        from matplotlib import pyplot as plt
-
-        measured = self.measured
-        if axes is None:
-            axes = plt.figure(layout='constrained').add_subplot()
+        measured, axes = self.measured, axes or picture_axes()
         along = 1e3 * measured.arc_lengths
         for model in self.models:
             axes.plot(along, 1e3 * model.per_marker_rms, '.-', label=model.name)

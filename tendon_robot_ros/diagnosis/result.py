@@ -15,7 +15,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.colours import ERROR, GOOD, HELD_OUT, PREDICTED
 from ..common.files import write_text
-from ..common.results import TextResult, make_frame, plain
+from ..common.results import TextResult, make_frame, picture_axes, plain
 from ..common.words import LISTED_MAX, mm
 from ..effects import Catalogue
 from ..inference.description import PROFILE
@@ -168,12 +168,9 @@ class Diagnosis(TextResult):
         axes : matplotlib Axes, optional
 
         """
-        from matplotlib import pyplot as plt
-
         rows = [row for row in self.candidates if math.isfinite(row.error)][:LISTED_MAX]
-        if axes is None:
-            height = 1.6 + 0.3 * max(len(rows), len(self.remainder) // 60)
-            axes = plt.figure(figsize=(6.4, height), layout='constrained').add_subplot()
+        height = 1.6 + 0.3 * max(len(rows), len(self.remainder) // 60)
+        axes = axes or picture_axes((6.4, height))
         if not rows:
             centred: dict[str, Any] = {'ha': 'center', 'va': 'center', 'transform': axes.transAxes}
             axes.text(0.5, 0.5, fill(f'{self.verdict}: {self.remainder}', 60), **centred)
@@ -288,10 +285,7 @@ class Improvement(TextResult):
         axes : matplotlib Axes, optional
 
         """
-        from matplotlib import pyplot as plt
-
-        if axes is None:
-            axes = plt.figure(figsize=(7.2, 4.2), layout='constrained').add_subplot()
+        axes = axes or picture_axes((7.2, 4.2))
         names = [step.label for step in self.steps]
         for kind, errors in self.falling.items():
             height = 1e3 * np.array(errors)

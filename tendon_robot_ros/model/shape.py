@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ..common.arrays import RESOLUTION, Floats
 from ..common.colours import ERROR, MEASURED, line_style
 from ..common.errors import InputError
-from ..common.results import TextResult, make_frame
+from ..common.results import TextResult, make_frame, picture_axes
 from ..common.rotations import bent, turned_in_plane
 
 if TYPE_CHECKING:
@@ -428,16 +428,13 @@ def plot_arms(positions: Floats, axes: Axes | None = None, **style: Any) -> Axes
     return axes
 
 
-def new_axes(arms: Floats) -> Axes:
+def new_axes(arms: Floats) -> Any:
     """Return axes for arms (b, n, 3) [mm]: flat, or seen across the plane in which they bend."""
-    from matplotlib import pyplot as plt
-
     in_space = np.abs(arms[..., 1]).max() > FLATNESS * np.ptp(arms, axis=(0, 1)).max()
-    figure = plt.figure(layout='constrained')
-    subplot: Any = figure.add_subplot(projection='3d' if in_space else None)
-    if in_space:
-        subplot.view_init(azim=np.degrees(bending_azimuth(arms)) - 90.0)
-    axes: Axes = subplot
+    if not in_space:
+        return picture_axes()
+    axes = picture_axes(projection='3d')
+    axes.view_init(azim=np.degrees(bending_azimuth(arms)) - 90.0)
     return axes
 
 
