@@ -243,11 +243,11 @@ def add_angles(page: Page, comparison: Comparison) -> None:
         return
     errors = comparison.best.per_posture_rms
     worst = sorted(chosen_postures(comparison), key=lambda p: -errors[p])[: Shown.FIGURES]
+    where = 'the postures that are predicted worst' if len(worst) > 1 else 'this posture'
     page.text(
-        'The turn from each chord between markers to the next, '
-        + ('in the postures that are predicted worst.' if len(worst) > 1 else 'in this posture.')
-        + ' Angles are differences of positions and '
-        'much less precise than these; the first one counts from the base, half a cell.'
+        f'The turn from each chord between markers to the next, in {where}. Angles are '
+        'differences of positions and much less precise than these; the first one counts from '
+        'the base, half a cell.'
     )
     page.figures([angles(comparison, p) for p in worst], 'two')
 

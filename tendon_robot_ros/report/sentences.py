@@ -273,10 +273,8 @@ def where_wrong(faults: Sequence[Fault]) -> list[str]:
         posture = fault['posture']
         where = 'in all postures' if posture is None else f'in posture {posture}'
         places.append(f'{where} {sentence(fault)}')
-    return [
-        f'where it is still wrong (of such places at most {rate} are false alarms): '
-        + '; '.join(places)
-    ]
+    begins = f'where it is still wrong (of such places at most {rate} are false alarms)'
+    return [f'{begins}: {"; ".join(places)}']
 
 
 def sentence(fault: Fault) -> str:

@@ -36,7 +36,6 @@ from ..data import DataSet, load_dataset
 from ..data.folder import described_robot
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import CandidateRow, Diagnosis, EffectFinding
-from ..diagnosis.verdict import Verdict
 from ..inference.intervals import Value
 from ..model.versions import Preparation, UserEffect, catalogue_of, versions
 from ..report.page import Figure, Page, axes, error_bars, mm_list, plain, titled, trace
@@ -265,10 +264,8 @@ def _scale(row: FleetRow, name: str, values: npt.ArrayLike) -> tuple[float, str]
 
 def words_of(row: FleetRow) -> str:
     """Describe the verdict of a recording in a few words."""
-    if row.verdict in (Verdict.ADEQUATE, Verdict.CANNOT_JUDGE, ERROR):
-        return row.verdict.replace('_', ' ')
-    names = listed(row.effects, 'and') if row.effects else ''
-    return f'{row.verdict.replace("_", " ")}{": " + names if names else ""}'
+    names = f': {listed(row.effects)}' if row.effects else ''
+    return row.verdict.replace('_', ' ') + names
 
 
 def fleet_rows(rows: Sequence[FleetRow]) -> list[list[str]]:
