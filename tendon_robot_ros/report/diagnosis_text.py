@@ -443,12 +443,15 @@ def _changed(what: str, part: str, before: Iterable[float], after: Iterable[floa
     return [f'{what} of {counted(len(changes), part)} ({size})']
 
 
-def model_error_note(error: float) -> str:
-    """Say that a description is written with its own error [m]."""
-    return (
-        f'off by {mm(error, 2)} at the tip on postures left out: the file says so, as model_error,'
-        ' and later diagnoses count with it'
-    )
+def more_lines(more_at_work: str, error: float | None) -> list[str]:
+    """Say that more is at work, and that a description is written with its own error [m]."""
+    texts = [f'note: {more_at_work}'] if more_at_work else []
+    if error:
+        texts.append(
+            f'off by {mm(error, 2)} at the tip on postures left out: the file says so, as '
+            'model_error, and later diagnoses count with it'
+        )
+    return texts
 
 
 def addition_warnings(addition: Addition) -> list[str]:
@@ -466,10 +469,7 @@ def addition_warnings(addition: Addition) -> list[str]:
         texts.append(f'declared tolerances moved in the fit: {moves} ({where})')
     if addition.accuracy:
         texts.append(f'weighed by the declared accuracy of {mm(addition.accuracy, 2)}')
-    if addition.more_at_work:
-        texts.append(f'note: {addition.more_at_work}')
-    if addition.model_error:
-        texts.append(model_error_note(addition.model_error))
+    texts += more_lines(addition.more_at_work, addition.model_error)
     if addition.check.after > addition.check.before:
         texts.append(
             'note: the error on postures that were not fitted grew; do not use these values'

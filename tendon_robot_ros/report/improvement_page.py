@@ -16,7 +16,7 @@ from ..data import DataSet
 from ..diagnosis.result import COLOURS, Improvement, total
 from ..effects import Catalogue
 from .comparison import add_shapes, interval
-from .diagnosis_text import model_error_note
+from .diagnosis_text import more_lines
 from .error_plots import per_marker, per_posture
 from .page import Figure, Page, Shown, axes, mm_list, titled, trace
 from .sentences import as_built, excluded_lines, of_effects, where_wrong
@@ -56,13 +56,16 @@ def numbers(errors: Floats) -> str:
 def sentences(improvement: Improvement) -> list[str]:
     """Describe the reduction of the error, and why the search stopped."""
     first, last = improvement.steps[0], improvement.steps[improvement.taken]
-    inside, before = improvement.chosen, total(first.left_out)
+    tip = f'at marker {improvement.markers[-1]}'
+    reached, inside = (  # of all markers, and of the last one where there are more
+        mm(total(one)) + (f' ({mm(float(one[-1]))} {tip})' if len(one) > 1 else '')
+        for one in (last.left_out, improvement.chosen)
+    )
+    before, floor = mm(total(first.left_out)), mm(improvement.noise_floor)
     texts = [
-        'Postures that had no part in the search are predicted to '
-        f'{_reached(improvement, last.left_out)}, by the description as '
-        f'it was to {mm(before)}; the noise floor is {mm(improvement.noise_floor)}.',
-        'Where the number of steps is chosen without them as well: '
-        f'{_reached(improvement, inside)}.',
+        f'Postures that had no part in the search are predicted to {reached}, by the description '
+        f'as it was to {before}; the noise floor is {floor}.',
+        f'Where the number of steps is chosen without them as well: {inside}.',
     ]
     why = 'no other effect promises to lower the error'
     if not improvement.more_at_work:
@@ -70,12 +73,6 @@ def sentences(improvement: Improvement) -> list[str]:
     elif improvement.taken + 1 < len(improvement.steps):
         why = 'what follows takes off too little to be told from chance'
     return [*texts, f'It stops there: {why}.']
-
-
-def _reached(improvement: Improvement, errors: Floats) -> str:
-    """Say rms errors (J,) [m] of all markers, and of the last one where there are more."""
-    tip = f' ({mm(float(errors[-1]))} at marker {improvement.markers[-1]})'
-    return f'{mm(total(errors))}{tip if len(errors) > 1 else ""}'
 
 
 def profile(improvement: Improvement) -> list[str]:
@@ -97,16 +94,12 @@ def remains(improvement: Improvement) -> list[str]:
     """Describe the remaining error: the worst postures and places, and unexplained causes."""
     worst = sorted(improvement.tips.items(), key=lambda item: -item[1])[: Shown.WORST]
     named = ', '.join(f'posture {posture} ({mm(error)})' for posture, error in worst)
-    texts = [
+    return [
         f'worst at marker {improvement.markers[-1]} when left out: {named}',
         *where_wrong(improvement.local_faults),
         *excluded_lines(improvement.left_out),
+        *more_lines(improvement.more_at_work, improvement.robot.model_error),
     ]
-    if improvement.more_at_work:
-        texts.append(f'note: {improvement.more_at_work}')
-    if improvement.robot.model_error:
-        texts.append(model_error_note(improvement.robot.model_error))
-    return texts
 
 
 def improvement_page(improvement: Improvement, dataset: DataSet, catalogue: Catalogue) -> Page:
