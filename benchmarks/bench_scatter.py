@@ -28,7 +28,7 @@ from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.studies.cases import NOTHING, Case
-from tendon_robot_ros.studies.judge import built_sizes, scatter_held
+from tendon_robot_ros.studies.judge import scatter_held
 from tendon_robot_ros.studies.plan import read_plan
 from tendon_robot_ros.workspace.postures import default_postures
 
@@ -100,13 +100,13 @@ def fits(options):
             ]
             held = [one for pair in made for one in scatter_held(*pair)]
             print(f'level {level:.2f}  {name}: {sum(held)} of {len(held)} hold', flush=True)
-            for kind in built_sizes(made[0][1]):
+            for kind in made[0][1].sizes:
                 print(f'    {kind:15} {widths(made, kind)}', flush=True)
 
 
 def widths(made, kind):
     """Tell how wide the intervals of a kind are."""
-    rows = [(one, built_sizes(built)) for report, built in made for one in report['kinds']]
+    rows = [(one, built.sizes) for report, built in made for one in report['kinds']]
     told = [(one, true[kind]) for one, true in rows if one['kind'] == kind and one['told']]
     ends = np.array([[o['low'], o['high'] or np.inf, true, o['plausible']] for o, true in told])
     low, high, true, plausible = ends.T

@@ -15,7 +15,7 @@ from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.monitoring.built_arm import usual_kinks
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.robot.estimates import handling
-from tendon_robot_ros.simulation.hidden import Workmanship
+from tendon_robot_ros.simulation.hidden import Built, Workmanship
 from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import SECTION_BEND_MAX_RAD, default_postures
@@ -269,3 +269,11 @@ def test_a_mistake_is_one_line_and_writes_nothing(arguments, message, tmp_path, 
     assert error.startswith(f'error: {message}')
     assert error.count('\n') == 1
     assert not (tmp_path / 'x').exists()
+
+
+def test_kinks_are_told_by_their_rms():
+    robot = planar(effects={}, cells=2)
+    built = replace(Built.exact(robot), kink=np.radians([[3.0, 0.0], [-5.0, 0.0]]))
+    assert f'kinks of {np.sqrt(17.0):.2f}°' in built.text(robot)[0]
+    assert built.sizes['cell_kink'] == pytest.approx(np.radians(np.sqrt(17.0)))
+    assert 'kinks of 0.00°' in Built.exact(robot).text(robot)[0]

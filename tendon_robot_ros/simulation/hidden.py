@@ -268,9 +268,17 @@ class Built:
         """Return a robot without any."""
         return cls.draw(robot, Workmanship(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0)
 
+    @property
+    def sizes(self) -> dict[str, float]:
+        """How much the cells scatter (rms): their stiffness [1], their kinks [rad]."""
+        planes = max(int(self.kink.any(axis=0).sum()), 1)  # in which it has kinks
+        return {
+            'cell_stiffness': float(np.sqrt(np.mean(self.stiffness**2))),
+            'cell_kink': float(np.sqrt(np.mean((self.kink**2).sum(axis=1)) / planes)),
+        }
+
     def text(self, robot: Robot) -> list[str]:
         """Return a description of the imperfections of a robot."""
-        degrees = np.degrees(np.concatenate([self.kink.ravel()[self.kink.ravel() != 0.0], [0.0]]))
         worst = int(np.argmax(np.abs(self.stiffness)))
         gains, holes = (
             ', '.join(f'{100.0 * x:+.1f} %' for x in part) for part in (self.gain, self.hole)
@@ -282,7 +290,7 @@ class Built:
         return [
             f'cells scatter by {100.0 * np.std(self.stiffness):.1f} % in stiffness '
             f'(most {robot.cell_names[worst]}: {100.0 * self.stiffness[worst]:+.0f} %), '
-            f'kinks of {np.sqrt(np.mean(degrees**2)):.2f}°',
+            f'kinks of {np.degrees(self.sizes["cell_kink"]):.2f}°',
             f'inputs off by {gains}; holes by {holes}',
             f'tracker off by {shift} mm and {turn}°',
         ]

@@ -224,19 +224,12 @@ def removed_fraction(diagnosis: Diagnosis, sim: Simulated) -> float | None:
 
 def scatter_held(report: Mapping[str, Any] | None, built: Built) -> list[bool]:
     """Return for each printed kind of imperfections whether its interval holds the true size."""
-    sizes = built_sizes(built)
+    sizes = built.sizes
     return [
         kind['low'] <= sizes[kind['kind']] <= (kind['high'] or np.inf)
         for kind in (report or {'kinds': ()})['kinds']
         if kind['kind'] in sizes and kind['told']
     ]
-
-
-def built_sizes(built: Built) -> dict[str, float]:
-    """Return how much the cells scatter (rms): their stiffness [1], their kinks [rad]."""
-    kinks = built.kink[:, built.kink.any(axis=0)]
-    members = {'cell_stiffness': built.stiffness, 'cell_kink': kinks}
-    return {name: float(np.sqrt(np.mean(np.square(one)))) for name, one in members.items()}
 
 
 @dataclass(frozen=True)
