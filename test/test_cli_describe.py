@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from arms import planar
 from source_tree import ROOT
 
 from tendon_robot_ros.cli.main import main
@@ -235,6 +236,12 @@ def test_a_length_in_millimetres_is_told(name, old, times, wrong):
     told = [line for line in handling(load_robot(content)) if ' in mm' in line]
     assert all(line.startswith('NOT PLAUSIBLE: a cell of ') and wrong in line for line in told)
     assert len(told) == bool(old)
+
+
+def test_kilograms_and_decimetres_are_told_without_an_exponent():
+    effects = {'gravity': {'linear_density': 2.5}}
+    robot = planar(cells=10, stiffness=200.0, length=0.1, arm=0.02, effects=effects)
+    assert 'weighs 2500 g; level, it sags by 150 mm at the tip' in handling(robot)
 
 
 def test_the_sag_of_a_beam_of_many_cells_is_that_of_the_textbook():

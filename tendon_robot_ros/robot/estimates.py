@@ -127,10 +127,10 @@ def handling(robot: Robot) -> list[str]:
     lines[0] += ' (without friction)'
     if (kilograms := mass(robot)) > 0.0:
         drop = sag(robot, weight=STANDARD_GRAVITY * kilograms)
-        sags = f'sags by {1e3 * drop:.2g} mm at the tip'
+        sags = f'sags by {_number(1e3 * drop, 2)} mm at the tip'
         if drop > SAG_FRACTION_MAX * robot.length:
             sags = 'hangs down under its own weight'
-        lines.append(f'weighs {1e3 * kilograms:.3g} g; level, it {sags}')
+        lines.append(f'weighs {_number(1e3 * kilograms)} g; level, it {sags}')
     wrong = _other_units(robot) or _other_stiffness(robot, rates)
     return [*lines, f'NOT PLAUSIBLE: {wrong}' if wrong else _plausible(robot, rates)]
 
@@ -138,7 +138,7 @@ def handling(robot: Robot) -> list[str]:
 def _plausible(robot: Robot, rates: Floats) -> str:
     """Return a line about the range of the tensions."""
     top, moving = robot.tension_limits[1], rates[rates > 0.0]
-    needed = sorted({f'{0.5 * math.pi / rate:.2g}' for rate in moving}, key=float)
+    needed = sorted({_number(0.5 * math.pi / rate, 2) for rate in moving}, key=float)
     span = needed[0] if len(needed) == 1 else f'{needed[0]} to {needed[-1]}'
     if 0.5 * math.pi / moving.max() > top:
         bend = _degrees(top * float(moving.max()))
@@ -188,7 +188,12 @@ def _other_units(robot: Robot) -> str:
 
 
 def _degrees(angle: float) -> str:
-    return f'{math.degrees(angle):.3g}°'
+    return f'{_number(math.degrees(angle))}°'
+
+
+def _number(value: float, count: int = 3) -> str:
+    """Show significant digits of a number, those of thousands without an exponent."""
+    return f'{float(f"{value:.{count}g}"):g}'
 
 
 def rod_stiffness(modulus: float, outer: float, inner: float, length: float) -> float:

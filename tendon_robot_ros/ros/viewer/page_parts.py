@@ -120,7 +120,7 @@ def curve(state: ViewState, now: float) -> str:
             )
     return (
         f'<div style="{STYLE}">tip error [mm]{cut}<svg viewBox="0 0 {axes.width} {axes.height}" '
-        f'role="img" aria-label="tip error of the last two minutes, now {sizes[-1]:.2g} mm" '
+        f'role="img" aria-label="tip error of the last two minutes, now {digits(sizes[-1])} mm" '
         f'style="width:100%;font-size:12px;overflow:visible">'
         f'{"".join(parts)}</svg></div>'
     )
