@@ -14,7 +14,7 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.rotations import rigid_fit, rotation_angle, rotation_between
-from ..common.words import STANDARD_GRAVITY
+from ..common.words import STANDARD_GRAVITY, digits, mm
 from ..data import DataSet
 from ..inference.description import DIGITS_OF_THE_ARM, scaled
 from ..inference.marginal import NEGLIGIBLE
@@ -68,11 +68,11 @@ class Mistake:
 
     def text(self, before: float) -> str:
         """Return the report with the rms error [m] before and after."""
-        end = f'{1e3 * self.after:.3g} mm{self.rest}: {self.mend}'
+        end = f'{mm(self.after)}{self.rest}: {self.mend}'
         if not math.isfinite(before):
             return f'the model finds no equilibrium; {self.sentence} it does, and is off by {end}'
         verb = 'falls' if self.after < before else 'goes'  # up, with an effect that acts as well
-        return f'{self.sentence} the error {verb} from {1e3 * before:.3g} to {end}'
+        return f'{self.sentence} the error {verb} from {digits(1e3 * before, 3)} to {end}'
 
 
 def off(predictor: Predictor, measured: Floats, markers: Floats) -> float:
