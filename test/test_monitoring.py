@@ -17,7 +17,15 @@ from tendon_robot_ros.monitoring import History, Monitor, StillWindow
 from tendon_robot_ros.monitoring.job import DiagnosisProgress, Work, guide_of
 from tendon_robot_ros.monitoring.monitor import FrameMean
 from tendon_robot_ros.robot import load_robot
-from tendon_robot_ros.simulation.rehearsal import Story, choices, draw, refined, tour
+from tendon_robot_ros.simulation.rehearsal import (
+    Hidden,
+    Story,
+    choices,
+    draw,
+    refined,
+    reveal,
+    tour,
+)
 from tendon_robot_ros.workspace.postures import default_postures
 
 NAN = np.full(4, np.nan)
@@ -375,3 +383,12 @@ def test_other_tensions_and_frames_without_the_arm_begin_anew():
     made.put(3.0, TENSIONS, np.full((J, 3), np.nan))
     _, mean, _ = made.take(None)
     assert np.isnan(mean).all()
+
+
+def test_what_was_hidden_is_revealed_in_the_units_of_a_verdict():
+    lever = Hidden('hinge_friction', {'lever': 8.09e-5})
+    change = Hidden('section_stiffness', {'relative_change': (0.05, -0.1)})
+    assert reveal(lever, load_catalogue()) == 'hidden: hinge_friction lever 80.9 µm'
+    said = 'hidden: section_stiffness relative_change 5.00/-10.0 %'
+    assert reveal(change, load_catalogue()) == said
+    assert reveal(Hidden('soft_cell', {}), load_catalogue()) == 'hidden: soft_cell'

@@ -68,6 +68,13 @@ def spoken(key: str) -> str:
     return f'{name} of {owner.removesuffix("]")}' if owner else name
 
 
+def described_quantity(name: str, unit: str, numbers: Sequence[float], count: int = 3) -> str:
+    """Say what a description holds: 'relative_change 5/10 %'."""
+    factor, shown = scale_of(unit, max(map(abs, numbers)), name)
+    values = '/'.join(digits(factor * number, count) for number in numbers)
+    return f'{spoken(name)} {with_unit(values, shown)}'
+
+
 def times(ratio: float) -> str:
     """Show a ratio: 'six times', '2.4 times'."""
     if ratio >= 2.75 and round(ratio) < 3 + len(TIMES_WORDS):

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..common.words import commands, digits, listed, mm, scale_of, spoken, with_unit
+from ..common.words import described_quantity as described_quantity
 from ..comparison.result import Comparison
 from ..diagnosis.verdict import FALSE_DISCOVERY_RATE
 from ..inference.intervals import LoadVector, Value, Values
@@ -164,14 +165,6 @@ def load_direction(load: LoadVector) -> str:
                 text = f'{text} towards {side}'
             directions.append(text)
     return ', '.join(directions or ['its direction is not told'])
-
-
-def described_quantity(name: str, unit: str, numbers: Sequence[float], count: int = 3) -> str:
-    """Say what a description holds: 'relative_change 5/10 %'."""
-    factor, shown = scale_of(unit, max(abs(number) for number in numbers), name)
-    return (
-        f'{spoken(name)} {with_unit("/".join(digits(factor * n, count) for n in numbers), shown)}'
-    )
 
 
 def _largest(values: Mapping[str, Value], unit: str) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..common.arrays import Floats
 from ..common.errors import InputError, NoEquilibriumError, choice, whole
-from ..common.words import STANDARD_GRAVITY, digits, listed, mm
+from ..common.words import STANDARD_GRAVITY, described_quantity, mm
 from ..diagnosis.verdict import Verdict
 from ..effects import Catalogue
 from ..inference.statistics import rms
@@ -227,7 +227,7 @@ def reveal(hidden: Hidden, catalogue: Catalogue) -> str:
     effect = catalogue[hidden.name].parameters if hidden.values else ()
     units = {parameter.name: parameter.unit for parameter in effect}
     values = [
-        f'{key} = {listed(digits(v, 3) for v in np.atleast_1d(value))} {units.get(key, "1")}'
+        described_quantity(key, units[key], np.atleast_1d(value).tolist())
         for key, value in hidden.values.items()
         if np.any(value)
     ]
