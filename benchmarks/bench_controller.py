@@ -34,7 +34,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.common.processes import Realtime, go_realtime, in_realtime
-from tendon_robot_ros.model.forward import TOLERANCE
+from tendon_robot_ros.model.compile import BEND_TOLERANCE
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.ros.shared.interface import COMMAND
@@ -117,7 +117,7 @@ def all_over(model: Model, count: int) -> Stream:
     low, high = model.limits.T
     share = np.random.default_rng(1).random((count, len(low)))
     shapes, changes = model.solve(low + share * (np.minimum(high, LARGEST_N) - low))
-    return Stream(shapes.tip_position[changes < TOLERANCE], 2.0, 10.0)
+    return Stream(shapes.tip_position[changes < BEND_TOLERANCE], 2.0, 10.0)
 
 
 def first_command(sender: Sender, namespace: str, model: str, quiet) -> tuple[NodeProcess, float]:

@@ -20,7 +20,7 @@ import numpy as np
 from machine import machine, tell
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
-from tendon_robot_ros.model.forward import TOLERANCE
+from tendon_robot_ros.model.compile import BEND_TOLERANCE
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import Robot, Section, Tendon, load_robot
 
@@ -128,7 +128,7 @@ def none_there(postures: int = 100) -> dict[str, float]:
     for row in tensions:
         start = time.thread_time()
         change = model.solve(row[None])[1][0]
-        if not change < TOLERANCE:
+        if not change < BEND_TOLERANCE:
             times.append(time.thread_time() - start)
     return {'postures without one': len(times), **(summary('said', times) if times else {})}
 

@@ -157,7 +157,7 @@ def test_a_reading_that_one_trial_lost_makes_none_of_the_others_stand_out():
 @pytest.mark.parametrize('many', [1, 2, 12, 300])
 def test_the_largest_of_few_sizes_is_beyond_its_limit_by_chance_alone(many, monkeypatch):
     """Of 5 % of all sets, where the spread is an estimate of so few sizes."""
-    path = 'tendon_robot_ros.inference.outliers.FALSE_OUTLIER_PROBABILITY'
+    path = 'tendon_robot_ros.inference.outliers.RARE'
     monkeypatch.setattr(path, 0.05)
     random, freedom = np.random.default_rng(many), np.full(many, 3)
     sizes = np.linalg.norm(random.normal(size=(1000, many, 3)), axis=2)

@@ -10,12 +10,11 @@ from tendon_robot_ros.control import ControllerCore, Settings, Target
 from tendon_robot_ros.control.tip_estimator import (
     DRIFT,
     HANDOVER_LENGTH,
-    SPEED_MAX,
     NullSpaceMotion,
     TipEstimate,
 )
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.model.program import bounded_step
+from tendon_robot_ros.model.program import RANGE_TOLERANCE, bounded_step
 from tendon_robot_ros.model.tip_task import Preferences
 from tendon_robot_ros.robot import load_robot
 
@@ -58,7 +57,7 @@ def test_it_goes_as_fast_as_the_slopes_are_known():
     def speed(doubt):
         return np.abs(stepped(0.5, doubt)[1] - HERE).max() / 4.9 / PERIOD
 
-    assert speed(1e-4) == pytest.approx(SPEED_MAX, rel=0.05)
+    assert speed(1e-4) == pytest.approx(RANGE_TOLERANCE, rel=0.05)
     assert speed(0.2) == pytest.approx(0.5 * speed(0.1), rel=0.05)
     assert 0.3 * DRIFT * LENGTH / 0.2 < speed(0.2) < 3.0 * DRIFT * LENGTH / 0.2
 

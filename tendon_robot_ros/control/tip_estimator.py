@@ -46,9 +46,6 @@ STEP_LENGTHS = 1.0, 4.0, 0.25
 GAIN_MIN = 0.1
 # [1] of a tension's range, of a secant: the longer, the more tendons slip (docs/control.md)
 SECANTS = 5e-3, 0.05
-# [1/s] of the ranges, one tolerance of a goal: faster, the tip's bias would change before it is
-# estimated (docs/control.md)
-SPEED_MAX = RANGE_TOLERANCE
 # [1/s] of the length: velocity of the tip, 1 sd, that doubt of slopes may cause: 0.1 mm/s on 208
 # mm, so that the tracker measures it before it is a millimetre (docs/control.md)
 DRIFT = 5e-4
@@ -370,6 +367,8 @@ class NullSpaceMotion:
         if size < RANGE_TOLERANCE and distance < 2.0 * estimate.rest:
             return self, goal  # at the end; else noise would raise tensions without limit
         drift = DRIFT * length
-        speed = drift / max(estimate.slope_sd(free / size), drift / SPEED_MAX)
+        # [1/s] of the ranges, at most one tolerance: faster, the tip's bias would change before it
+        # is estimated (docs/control.md)
+        speed = drift / max(estimate.slope_sd(free / size), drift / RANGE_TOLERANCE)
         miss = STEP_GAIN * (self.place - goal_shape.tip_position - estimate.bias_at(goal))
         return self, step(target=miss, preferred=free * min(1.0, speed * passed / size))

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import Floats, Ints
-from ..inference.fit import Fit
+from ..inference.fit import Fit, covariance_root
 from ..inference.imperfections import (
     ACROSS,
     BEND_MAX_RAD,
@@ -273,11 +273,7 @@ def _rates(places: Sequence[Place], z: Floats, freedom: float) -> Floats:
 
 def _basis(jacobian: Floats) -> Floats:
     """Orthonormal basis (N, d) of the columns of a Jacobian."""
-    scale = np.linalg.norm(jacobian, axis=0)
-    used = jacobian[:, scale > 1e-9] / scale[scale > 1e-9]
-    values, vectors = np.linalg.eigh(used.T @ used)
-    kept = values > 1e-11 * max(values[-1:], default=0.0)
-    return np.asarray(used @ (vectors[:, kept] / np.sqrt(values[kept])))
+    return jacobian @ covariance_root(jacobian)[0]
 
 
 def places_in(

@@ -10,13 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import lsq_linear
 
 from ..common.arrays import Floats, Ints
 from ..common.errors import NoEquilibriumError
 from ..data import DataSet
 from ..effects import Catalogue
+from ..model.program import solved
 from ..robot import Robot
 from .description import WRITABLE_KINDS, changed_robot, with_members, with_values
 from .fit import LEVERAGE_MAX, Fit, covariance_root, left_out
@@ -167,9 +166,7 @@ def left_out_squares(
         rows = np.flatnonzero(np.isin(owners, held))
         out, off = fit.jacobian[rows] / scale, fit.residual[rows]
         remaining = normal - out.T @ out + RIDGE * np.eye(len(normal))
-        root = cholesky(remaining)
-        goal = solve_triangular(root, gradient - out.T @ off, trans='T')
-        step = lsq_linear(root, goal, room, 'bvls').x / scale
+        step = solved(remaining, out.T @ off - gradient, None, *room) / scale
         markers = written_markers(fitter, fit, fit.values - step, beside)
         if markers is not None:
             predicted[held] = markers[held]

@@ -18,7 +18,7 @@ from ..common.estimation import STEP_LENGTHS
 from ..data import DataSet
 from ..robot.inputs import noise_scales
 from .predict import Point, Predictor, SettledShapes, mean_inputs
-from .statistics import chi2_isf, minimum, rms
+from .statistics import RARE, chi2_isf, minimum, rms
 
 # [1] relative variance, or singular value, below which a cause is left out, because it changes no
 # weight by more than a thousandth
@@ -276,7 +276,7 @@ def likely(
 # standard deviation is then known to 1 / sqrt(2 n) = 13 %
 TRIAL_DOF_MIN = 30
 # [1] of -2 log likelihood, that one more variance gains by chance with a probability of 0.1 %
-VARIANCE_GAIN_MIN = chi2_isf(1e-3, 1.0)
+VARIANCE_GAIN_MIN = chi2_isf(RARE, 1.0)
 
 
 def estimate_noise(dataset: DataSet, slopes: Floats) -> Noise | None:
@@ -339,9 +339,8 @@ def _likeliest(likelihood: _TrialLikelihood, may_shift: bool) -> tuple[float, fl
     grid = np.arange(-14.0, 21.0) - math.log(likelihood.strongest)  # there may be several valleys
     best = int(np.argmin([likelihood(math.exp(log), 0.0)[0] for log in grid.tolist()]))
     if best > 0:
-        near = likelihood.likeliest((None, 0.0), grid[best] - 1.0, grid[best] + 1.0)
-        if likelihood(near, 0.0)[0] <= alone:
-            inputs, (alone, variance) = near, likelihood(near, 0.0)
+        inputs = likelihood.likeliest((None, 0.0), grid[best] - 1.0, grid[best] + 1.0)
+        alone, variance = likelihood(inputs, 0.0)
     position, trial, shift = math.sqrt(variance), min(math.sqrt(inputs * variance), 0.3), 0.0
     for _ in range(DESCENT_ROUNDS if may_shift else 0):
         shift = likelihood.likeliest((inputs, None), -7.0, 9.0)

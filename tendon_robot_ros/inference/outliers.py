@@ -30,7 +30,6 @@ from .noise import NEGLIGIBLE, input_slopes
 from .predict import Point, Predictor
 from .statistics import RARE, chi2_isf, f_isf
 
-FALSE_OUTLIER_PROBABILITY = RARE  # of the most extreme of all readings, or of all trials
 # [1] trials of a posture, and readings of a marker that agree, because of two that do not nobody
 # knows which one is off
 TRIALS_MIN = 3
@@ -98,7 +97,7 @@ def outlier_limits(sizes: Floats, freedom: Ints) -> Floats:
     Return the sizes (...) beyond which one is an outlier, from the robust spread of all.
 
     Each is the norm of `freedom` values of the same spread; NaN and 0 values do not count. The
-    largest of all is beyond its limit by chance with `FALSE_OUTLIER_PROBABILITY`.
+    largest of all is beyond its limit by chance with `RARE`.
     """
     valid = np.isfinite(sizes) & (freedom > 0)
     limits = np.sqrt(_squared_limits(np.where(valid, freedom, 0)))
@@ -110,7 +109,7 @@ def _squared_limits(freedom: Ints) -> Floats:
     """Return the limits (...) of sums of squares of unit spread; infinite for no freedom."""
     limits, known = np.full(freedom.shape, np.inf), freedom[freedom > 0]
     for k in np.unique(known).tolist():
-        p = FALSE_OUTLIER_PROBABILITY / len(known)
+        p = RARE / len(known)
         limits[freedom == k] = k * f_isf(p, k, MEDIAN_EFFICIENCY * int(known.sum()))
     return limits
 

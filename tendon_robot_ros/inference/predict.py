@@ -13,12 +13,13 @@ from ..common.errors import EffectError, TendonRobotError
 from ..data import DataSet, Part
 from ..data.visits import Visits
 from ..effects import Catalogue, Effect, Parameter
-from ..model.derivatives import DIFFERENCE_STEP, Move, follow, path_near, tensions_by_pulls
-from ..model.forward import TOLERANCE
+from ..model.compile import BEND_TOLERANCE
+from ..model.derivatives import Move, ends_of, follow, path_near, tensions_by_pulls
 from ..model.model import Model
 from ..model.pulls import pull_shapes, transmitted, unknown_slopes
 from ..model.shape import FIELDS, ShapeBatch, WireSlopes
 from ..robot import Robot
+from .statistics import mean_over
 
 
 @dataclass(frozen=True)
@@ -389,22 +390,16 @@ class Predictor:
         near, columns = self.along_path(start, settled), []
         here = _moved(near(start))
         for free in frees:
-            side = max(self._ends(start, free), key=abs)
-            there = _moved(near({**start, free: start.get(free, 0.0) + side}))
+            value = start.get(free, 0.0)
+            side = max(ends_of(free.parameter, value), key=abs)
+            there = _moved(near({**start, free: value + side}))
             columns.append([(then - now) / side for now, then in zip(here, there, strict=True)])
         return Tangent(*(np.array(part) for part in zip(*columns, strict=True)))
-
-    def _ends(self, point: Point, free: FreeParameter) -> tuple[float, float]:
-        """Return how far a parameter varies down and up, within its bounds."""
-        value, own = point.get(free, self.value(free)), free.parameter
-        step = DIFFERENCE_STEP * max(abs(value), own.typical)
-        return max(-step, own.low - value), min(step, own.high - value)
 
     def moved(self, point: Point, part: Conditions, free: FreeParameter) -> Move:
         """Return the move of a parameter about a point; the model is set to the point."""
         value, own = point.get(free, self.value(free)), free.parameter
-        ends = self._ends(point, free)
-        is_effect = free.effect in self.model.catalogue
+        ends, is_effect = ends_of(own, value), free.effect in self.model.catalogue
         if is_effect and (free.effect, own.name) not in part.known:
             return Move.of_parameter(self.model, free.effect, own.name, free.column, ends)
 
@@ -476,14 +471,14 @@ class Predictor:
                 return None
         if self.model.remembers:
             batch, changes = self.model.solve(inputs, carry=self.carries)
-            return batch if (changes < TOLERANCE).all() else None
+            return batch if (changes < BEND_TOLERANCE).all() else None
         batch, changes = self.model.solve(inputs, None if near is None else near.state)
-        far = np.flatnonzero(~(changes < TOLERANCE))
+        far = np.flatnonzero(~(changes < BEND_TOLERANCE))
         if near is None or not len(far):
             return None if len(far) else batch
         for b in far:  # once more, from straight
             retried, changes = self.model.solve(inputs[b : b + 1])
-            if not changes[0] < TOLERANCE:
+            if not changes[0] < BEND_TOLERANCE:
                 return None
             for name in FIELDS:
                 getattr(batch, name)[b] = getattr(retried, name)[0]
@@ -531,10 +526,9 @@ def mean_inputs(dataset: DataSet) -> Floats:
     """Return the inputs (P, m) of the postures, the mean of the trials' where measured."""
     if dataset.trial_inputs is None:
         return np.array(dataset.inputs)
-    measured = dataset.trial_mask[..., None]
-    total = np.where(measured, dataset.trial_inputs, 0.0).sum(axis=1)
-    counts = measured.sum(axis=1)
-    return np.where(counts > 0, total / np.maximum(counts, 1), dataset.inputs)
+    measured = np.where(dataset.trial_mask[..., None], dataset.trial_inputs, np.nan)
+    means = mean_over(measured, 1)
+    return np.where(np.isfinite(means), means, dataset.inputs)
 
 
 def frees_of(names: Iterable[str], catalogue: Catalogue, robot: Robot) -> Iterator[FreeParameter]:

@@ -192,13 +192,10 @@ class Search:
         h = 1e-3 * self.scale[i]
         if self.values[i] + h > self.high[i]:
             h = -h
-        for step in (h, -h, 0.1 * h):
-            moved = self.values.copy()
-            moved[i] += step
-            predicted = self.residual(moved)
-            if predicted is not None:
-                return np.asarray((predicted[0] - self.raw) / step)
-        return np.zeros_like(self.raw)
+        moved = self.values.copy()
+        moved[i] += h
+        predicted = self.residual(moved)
+        return np.zeros_like(self.raw) if predicted is None else (predicted[0] - self.raw) / h
 
     def improve(self) -> bool:
         """Take one damped step within the bounds; False on convergence."""
@@ -232,7 +229,7 @@ class Search:
             predicted = self.residual(moved, self._ahead(moved))
             lifted = None if predicted is None else self.fitter.lift(predicted[0])
             new = np.inf if lifted is None else float(lifted @ lifted)
-            if predicted is not None and lifted is not None and new < cost:
+            if predicted and lifted is not None and new < cost:
                 self.values, (self.raw, self.markers), self.r = moved, predicted, lifted
                 self.settled = self.fitter.predictor.settled
                 self._age()

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from ..common.arrays import Floats
 from ..common.errors import InputError
+from ..effects import Parameter
 from .compile import LEAST_TENSION_N
 from .pulls import transmitted
 from .shape import EPSILON, Shape, ShapeBatch
@@ -23,10 +24,9 @@ if TYPE_CHECKING:
 
 Output = Callable[[ShapeBatch], Floats]
 Column = str | tuple[str, str] | tuple[str, str, int | None]
-# [1] of a parameter or of its typical size: a central difference errs by the square of its step
-# and by EPSILON over it, and would be worse with any other
+# [1] of a parameter or its typical size, [N] of a tension: a central difference errs by the square
+# of its step and by EPSILON over it, and would be worse with any other
 DIFFERENCE_STEP = math.cbrt(EPSILON)
-TENSION_STEP = DIFFERENCE_STEP  # [N]
 # [1] times as long steps where whole paths are solved twice, because an equilibrium is only known
 # to 1e-10 rad
 REMEMBERED_STEP = 16.0
@@ -231,7 +231,7 @@ class Move:
     beside: bool = False
 
     @classmethod
-    def of_tension(cls, j: int, tensions: Floats, step: float = TENSION_STEP) -> Move:
+    def of_tension(cls, j: int, tensions: Floats, step: float = DIFFERENCE_STEP) -> Move:
         """Move an input of tensions (b, m) [N], never to zero or below, where laws may jump."""
         slack, moved = tensions[:, j] < step, np.array([tensions, tensions])
         up, down = np.where(slack, 2.0 * step, step), np.where(slack, step, -step)
@@ -417,18 +417,22 @@ def move_of(model: ForwardModel, shapes: ShapeBatch, column: Column) -> Move:
     if isinstance(column, str):
         if column not in model.inputs:
             raise InputError(f'unknown input {column!r}; known: {", ".join(model.inputs)}')
-        return Move.of_tension(model.inputs.index(column), shapes.inputs, longer * TENSION_STEP)
+        return Move.of_tension(model.inputs.index(column), shapes.inputs, longer * DIFFERENCE_STEP)
     effect, name = column[:2]
     owner: int | None = column[2] if len(column) == 3 else None
     known = {p.name: p for p in model.catalogue[effect].parameters}
     if name not in known:
         raise InputError(f'{effect}: unknown parameter {name!r}; known: {", ".join(known)}')
-    value, parameter = model.arrays.get(effect, name, owner), known[name]
+    ends = ends_of(known[name], model.arrays.get(effect, name, owner), longer)
+    return Move.of_parameter(model, effect, name, owner, ends)
+
+
+def ends_of(parameter: Parameter, value: float, longer: float = 1.0) -> tuple[float, float]:
+    """Return how far a parameter moves down and up about a value, one-sided at a bound."""
     step = longer * DIFFERENCE_STEP * max(abs(value), parameter.typical)
     # a description may say more than a fit may: from there one-sided, too
     low, high = min(parameter.low, value), max(parameter.high, value)
-    ends = max(-step, low - value), min(step, high - value)
-    return Move.of_parameter(model, effect, name, owner, ends)
+    return max(-step, low - value), min(step, high - value)
 
 
 def responses(

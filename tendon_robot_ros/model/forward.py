@@ -19,7 +19,6 @@ from ..robot.inputs import TensionsLike, are_tensions, input_rows, tensions_of
 from .compile import BEND_TOLERANCE, KernelArrays
 from .shape import ResultLayout, Shape, ShapeBatch, named_values
 
-TOLERANCE = BEND_TOLERANCE
 # [1] by which tensions are raised where a search stalls at a kink of friction, so that they are
 # beside it. Measured: 611 of 390,002 equilibria of a co-contraction of spatial_6, all found by one
 # of them; without, the tip is off by 0.8 instead of 0.2 mm in one of eight
@@ -171,7 +170,7 @@ class ForwardModel:
         if memory is not None:
             block[form.size :] = memory
         change = self._postures(self.arrays.address, block, 1, 0, 1, 0, self.scratch, 1, 1)
-        if not change < TOLERANCE:
+        if not change < BEND_TOLERANCE:
             self._refuse(block[None, : form.m], np.array([change]))
         return Shape(form, block)
 
@@ -245,8 +244,8 @@ class ForwardModel:
         """
         Return the shapes under inputs (b, m) [N] and the last changes (b,) [rad].
 
-        A change above `TOLERANCE` marks a posture without equilibrium. With `carry` each posture
-        follows the one before and updates `memory`; other large batches use two threads.
+        A change above `BEND_TOLERANCE` marks a posture without equilibrium. With `carry` each
+        posture follows the one before and updates `memory`; other large batches use two threads.
         """
         b, states = len(inputs), np.zeros((len(inputs), 3 * self.robot.cells))
         if guesses is not None:
@@ -304,7 +303,7 @@ class ForwardModel:
         top = np.where(random.random((count, 1)) < 0.25, high, scale)
         inputs = low + spread * (top - low)
         batch, changes = self.solve(inputs)
-        return batch.of(changes < TOLERANCE)
+        return batch.of(changes < BEND_TOLERANCE)
 
     @property
     def scratch(self) -> int:
@@ -324,7 +323,7 @@ class ForwardModel:
         return moved
 
     def _refuse(self, inputs: Floats, changes: Floats) -> None:
-        bad = np.flatnonzero(~(changes < TOLERANCE))
+        bad = np.flatnonzero(~(changes < BEND_TOLERANCE))
         if len(bad):
             named = named_values(self.inputs, inputs[bad[0]], 'N')
             where = f'posture {bad[0]} ({named})' if len(inputs) > 1 else named

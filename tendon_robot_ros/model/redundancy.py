@@ -126,8 +126,6 @@ class Balance:
         base = self.log_stiffness(shape)
         for j, width in enumerate(self.range):
             step = RANGE_TOLERANCE * width  # less would be noise: stiffness is a difference itself
-            if shape.inputs[j] + step > self.low[j] + width:
-                step = -step
             moved = shape.inputs.copy()
             moved[j] += step
             if (shifted := self.solve_at(at, moved)) is not None:

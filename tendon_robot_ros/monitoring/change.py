@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import softmax
@@ -31,6 +31,7 @@ from ..common.arrays import Bools, Floats
 from ..common.errors import NoEquilibriumError
 from ..common.estimation import gauss_newton
 from ..common.words import digits, mm, spoken, with_unit
+from ..diagnosis.next_measurement import as_if_measured
 from ..inference.imperfections import GAIN, BuiltPredictor, Kind
 from ..inference.intervals import load_of, vector_rows
 from ..inference.marginal import RandomEffects
@@ -189,15 +190,9 @@ class ChangeWork:
     ) -> None:
         self.arm, self.positions, self.frames = arm, positions, frames
         self.rows = np.isfinite(positions)
-        P, J = len(tensions), len(arm.predictor.dataset.markers)
-        dataset = replace(
-            arm.predictor.dataset,
-            postures=tuple(map(str, range(P))),
-            inputs=tensions,
-            positions=np.full((P, 1, J, 3), np.nan),
-        )
+        dataset, _ = as_if_measured(arm.predictor.dataset, tensions)
         self.predictor = BuiltPredictor(Predictor(dataset, arm.robot, arm.catalogue))
-        self.predictor.around, self.lacked = arm.members, np.zeros((P, 3 * J))
+        self.predictor.around, self.lacked = arm.members, np.zeros(positions.shape)
         expected = self._markers({})
         self.columns = arm.moved(self.predictor, {})
         self.lacked = arm.lacked(self.columns)

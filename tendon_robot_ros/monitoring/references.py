@@ -28,6 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..common.arrays import Bools, Floats
+from ..common.estimation import kalman_update
 from ..data.arrays import SAMPLES_MIN
 from ..inference.outliers import outlier_limits
 
@@ -45,17 +46,14 @@ class Reference(NamedTuple):
 
 
 def log_likelihood(references: Sequence[Reference]) -> float:
-    """Return the log likelihood of all references as one normal vector, up to a constant."""
-    spread, total = 0.0, np.zeros(())
-    for one in references:
-        root = np.linalg.cholesky(one.scatter)
-        white = np.linalg.solve(root, np.column_stack([one.columns, one.off]))
-        total = total + white.T @ white
-        spread += 2.0 * float(np.log(np.diag(root)).sum())
-    known = np.eye(len(total) - 1) + total[:-1, :-1]
-    explained = total[:-1, -1] @ np.linalg.solve(known, total[:-1, -1])
-    spread += float(np.linalg.slogdet(known)[1])
-    return -0.5 * float(total[-1, -1] - explained + spread)
+    """Return the log likelihood of references, each given those before, up to a constant."""
+    q, total = references[0].columns.shape[1], 0.0
+    mean, covariance = np.zeros(q), np.eye(q)
+    for off, columns, scatter in references:
+        after = kalman_update(mean, covariance, columns, off - columns @ mean, scatter)
+        mean, covariance = after.mean, after.covariance
+        total += after.log_likelihood
+    return total
 
 
 def contradicted(references: Sequence[Reference | None], counts: Bools) -> Bools:

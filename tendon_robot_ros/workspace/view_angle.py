@@ -19,7 +19,7 @@ import numpy as np
 from ..common.arrays import RESOLUTION, ROWS_AT_ONCE, Floats
 from ..common.errors import InputError, Progress, listener
 from ..common.rotations import about, angle_between
-from ..model.forward import TOLERANCE
+from ..model.compile import BEND_TOLERANCE
 from ..model.model import Model
 from ..model.shape import Shape, ShapeBatch
 from ..paths.path import DIRECTION_TOLERANCE_RAD, POSITION_TOLERANCE_M
@@ -207,7 +207,7 @@ class Workspace:
                 # beyond 180°, else from 0 to 180°
                 flat = np.abs(batch.bend[..., 1]).max(axis=1, initial=0.0) < 1e-9
                 turned = angle_between(batch.tip_direction, np.array([0.0, 0.0, 1.0]))
-                good = changes < TOLERANCE
+                good = changes < BEND_TOLERANCE
                 angle = np.where(flat, batch.bend[..., 0].sum(axis=1), turned)
                 self.unsolved += int((~good).sum())
                 self.largest = max(self.largest, float(np.abs(angle[good]).max(initial=0.0)))

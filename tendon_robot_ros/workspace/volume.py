@@ -29,7 +29,7 @@ from ..common.processes import UPKEEP_S
 from ..common.rotations import angle_between
 from ..common.workers import LostWork, Workers
 from ..effects import load_catalogue
-from ..model import forward
+from ..model.compile import BEND_TOLERANCE
 from ..model.model import Model
 from ..model.shape import ShapeBatch
 from ..robot import Robot, dump_robot, parse_robot
@@ -173,7 +173,7 @@ class SortedTips:
     def add(self, batch: ShapeBatch, changes: Floats) -> None:
         """Sort solved postures into the cubes; arms that collide with themselves are excluded."""
         tips, along = batch.tip_position, batch.tip_direction
-        solved = changes < forward.TOLERANCE
+        solved = changes < BEND_TOLERANCE
         free = ~folds(batch.positions, self.thickness, self.sampling.robot.cell_lengths)
         self.counts += np.array([len(tips), (~solved).sum(), (solved & ~free).sum()])
         good = solved & free
