@@ -9,7 +9,7 @@ from reference import Reference
 from test_effects_contract import EFFECTS, VALUES
 
 from tendon_robot_ros.common.errors import EffectError, InputError
-from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.effects import Parameter, load_catalogue
 from tendon_robot_ros.model import derivatives
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import load_robot
@@ -238,3 +238,12 @@ def test_tensions_that_come_in_at_the_base_are_those_of_the_differences(name):
     shapes = model.shapes(TENSIONS[:1])  # at no tension differences are one-sided
     slopes = model.derivatives(shapes, list(model.inputs), lambda batch: batch.tip)[0]
     assert np.allclose(model.jacobian(TENSIONS[0]), slopes, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ('value', 'down', 'up'),
+    [(0.4, -0.4, 0.4), (1.0, -1.0, 0.0), (5.0, -5.0, 0.0), (-5.0, 0.0, 5.0), (0.0, 0.0, 0.1)],
+)
+def test_a_parameter_moves_by_a_small_step_also_from_where_no_fit_goes(value, down, up):
+    ends = derivatives.ends_of(Parameter('share', '1', 0.0, 1.0, 0.0, typical=0.1), value)
+    assert ends == pytest.approx(np.array([down, up]) * derivatives.DIFFERENCE_STEP, abs=1e-12)

@@ -124,12 +124,10 @@ class Balance:
         """Return the slopes (m,) of that logarithm by fractions of the range, by differences."""
         slope, shape = np.zeros(len(self.range)), at.shape
         base = self.log_stiffness(shape)
-        for j, width in enumerate(self.range):
-            step = RANGE_TOLERANCE * width  # less would be noise: stiffness is a difference itself
-            moved = shape.inputs.copy()
-            moved[j] += step
-            if (shifted := self.solve_at(at, moved)) is not None:
-                slope[j] = (self.log_stiffness(shifted.shape) - base) / (step / width)
+        # shorter steps would be noise: stiffness is a difference itself
+        for j, step in enumerate(np.diag(RANGE_TOLERANCE * self.range)):
+            if (shifted := self.solve_at(at, shape.inputs + step)) is not None:
+                slope[j] = (self.log_stiffness(shifted.shape) - base) / RANGE_TOLERANCE
         return slope
 
     def quadratic(self, at: Linearised) -> tuple[Floats, Floats]:
