@@ -12,12 +12,12 @@ from ..common.errors import Progress
 from ..effects import Parameter
 from ..inference.candidates import gain_p_value
 from ..inference.fit import Fit
-from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX, Fitter
+from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, Fitter
 from ..inference.predict import CELLS, SOFT_CELL, TAPER, FreeParameter, Point, slope
 from ..inference.search import DIFFERENCE_STEP
 from ..inference.session import NEAR_SCORE
 from ..inference.statistics import SIGNIFICANCE, chi2_isf
-from .verdict import APART_FROM_SCORE, SAME_ERROR_RATIO
+from .verdict import SAME_ERROR_RATIO
 
 NAMES = ('soft_cell', 'taper', 'gain_per_posture', 'rotation_per_posture')
 
@@ -104,26 +104,11 @@ class Patterns:
         """Whitened residual for predicted markers, without what imperfections explain."""
         return self.fitter.lift(self.fitter.residual(markers))
 
-    def deviance(self, predict: Callable[[], Floats | None]) -> float:
-        """
-        Deviance of the prediction of a pattern, imperfections and their sizes fitted again.
-
-        The fitter returns to the state of the fit.
-        """
-        markers, fitter = predict(), self.fitter
-        if markers is None:
-            return np.inf
-        raw, nothing = fitter.residual(markers), np.zeros((self.fitter.whitener.size, 0))
-        for _ in range(ROUNDS_MAX):
-            estimated = fitter.random.estimate(raw, nothing, fitter.sizes)
-            fitter.sizes = estimated.values
-            followed = fitter.follow(raw, predict)
-            if followed is None:
-                break
-            raw = followed
-        deviance = fitter.random.estimate(raw, nothing, fitter.sizes).deviance
-        fitter.resume(self.fit)
-        return deviance + self.prior
+    def deviance(self, markers: Floats) -> float:
+        """Deviance of the markers of a pattern, imperfections and their sizes fitted again."""
+        raw, fitter = self.fitter.residual(markers), self.fitter
+        estimated = fitter.random.estimate(raw, np.zeros((len(raw), 0)), fitter.sizes)
+        return estimated.deviance + self.prior
 
     def _changes(self, change: Floats, p: int) -> Floats:
         """Return columns (N, q) of changes (q, P, J, 3) [m] of the markers of one posture."""
@@ -193,22 +178,13 @@ class Patterns:
         """
         Fit a pattern at the places with the largest linearised gain.
 
-        Of an arm as built also from the imperfections of the fit: at the best place, and at others
-        that such a start may make the best; and with `reversals` beyond a reversal of friction.
+        With `reversals` also from beyond a reversal of friction.
         """
         places = np.argsort(gains)[::-1][:BEST_FEW].tolist()
-        fits = sorted(((self._refit(frees(i)), i) for i in places), key=_deviance)
-        reach = APART_FROM_SCORE
-        for k, (fit, i) in enumerate(fits):
-            lowest = min(_deviance(row) for row in fits)
-            if fit is None or self._beaten(fit) or fit.deviance > lowest + reach:
-                break
-            refitted = self._refit(frees(i), self.fit)
-            if refitted is not None and refitted.deviance < fit.deviance:
-                reach = max(reach, APART_FROM_SCORE + fit.deviance - refitted.deviance)
-                fits[k] = refitted, i
+        fits = [(self._refit(frees(i)), i) for i in places]
         best = min(fits, key=_deviance)[0]
-        if not self.reversals or best is None or self._beaten(best):
+        far = self.line + 2.0 * NEAR_SCORE  # no other start would bring it near
+        if not self.reversals or best is None or best.deviance > far:
             return fits
         beyond = self.fitter.over_reversals(best)
         self.fitter.resume(self.fit)
@@ -221,10 +197,6 @@ class Patterns:
                 refitted = self._refit(frees(i), start)
             fits[k] = min((fit, i), (refitted, i), key=_deviance)
         return fits
-
-    def _beaten(self, fit: Fit) -> bool:
-        """Return whether a fit needs no other start: of an exact arm, or far behind the line."""
-        return not self.fit.as_built or fit.deviance > self.line + 2.0 * NEAR_SCORE
 
     def _refit(self, frees: Sequence[FreeParameter], start: Fit | None = None) -> Fit | None:
         """
@@ -265,7 +237,7 @@ class Patterns:
             gains, markers, r = trial, predicted, new
             if gain < 0.1:
                 break
-        deviance = self.deviance(lambda: self._driven(inputs * gains[:, None]))
+        deviance = self.deviance(markers)
         return Pattern(
             'gain_per_posture',
             deviance,
@@ -286,17 +258,13 @@ class Patterns:
         rotations, _, parameters, _ = np.linalg.lstsq(slopes, -self.r, rcond=1e-7)
         by_posture = rotations.reshape(-1, 1, 3)
         angles = np.linalg.norm(rotations.reshape(-1, 3), axis=1)
-
-        def predict() -> Floats | None:
-            markers = self.fitter.predictor.markers(self.point, near=self.settled)
-            return None if markers is None else markers + np.cross(by_posture, markers)
-
-        deviance, turned = self.deviance(predict), np.cross(by_posture, self.markers)
+        turned = self.markers + np.cross(by_posture, self.markers)
+        deviance = self.deviance(turned)
         return Pattern(
             'rotation_per_posture',
             deviance,
             self.fit.rank + int(parameters),
-            self._chance(self.fit, deviance, self.markers + turned, int(parameters)),
+            self._chance(self.fit, deviance, turned, int(parameters)),
             values=tuple(angles.tolist()),
         )
 

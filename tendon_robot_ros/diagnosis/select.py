@@ -19,7 +19,7 @@ from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES, REVERSAL_GAIN_MIN, ROUNDS_MAX
 from ..inference.predict import Point
 from ..inference.search import DIFFERENCE_STEP, LADDER, sized
-from ..inference.session import NEAR_SCORE, Question, Session, better
+from ..inference.session import NEAR_SCORE, Question, Session
 from ..inference.statistics import first_of_best
 from .patterns import Pattern, Patterns
 from .placed import fit_placed, ways
@@ -308,8 +308,8 @@ def gather(question: Question) -> Fits:
     """
     Fit the base and every candidate; weights are taken at the best candidate's fit.
 
-    Twice, and again while that makes its fit likelier, another one is now much better, or one
-    improves beyond a reversal of friction: a fit is judged by its own weights.
+    Twice, and again while that makes its fit likelier or another one is now much better: a fit is
+    judged by its own weights. The base is also fitted from beyond reversals of friction.
     """
     session = question.weigh()
     base = session.base_fit()
@@ -335,39 +335,14 @@ def gather(question: Question) -> Fits:
             continue
         if not far:
             near, base = base, session.fitter.over_reversals(base)
-            reversed_once |= base.deviance < near.deviance - REVERSAL_GAIN_MIN
-        beyond = over_reversals(session, singles)
-        own = min((r.score for r in beyond if r.names == best.names), default=np.inf)
+            if base.deviance < near.deviance - REVERSAL_GAIN_MIN:
+                singles, reversed_once = session.refit(singles, base), True
+        own = min((r.score for r in singles if r.names == best.names), default=np.inf)
         likelier = session.score(own) < before - REVERSAL_GAIN_MIN
-        beaten = own > first_of_best(beyond).score + APART_FROM_SCORE
-        if beyond is singles and not (likelier or beaten):
+        beaten = own > first_of_best(singles).score + APART_FROM_SCORE
+        if not (likelier or beaten):
             break
-        reversed_once |= beyond is not singles
-        singles = beyond
     return Fits(session, base, singles, not_tested, reversed_once)
-
-
-def over_reversals(session: Session, singles: list[Ranked]) -> list[Ranked]:
-    """
-    Refit single effects from beyond a reversal of friction, where that is better.
-
-    The best few are tested; where one of them improves, all with a similar score are refitted.
-    """
-    near = sorted(singles, key=lambda r: r.score)
-    if not near:
-        return singles
-    near = [r for r in near if r.score <= near[0].score + NEAR_SCORE]
-    fitter, beyond = session.fitter, list[Ranked]()
-    for ranked in near[:BEST_FEW]:
-        fit = fitter.over_reversals(ranked.fit)
-        if fit.deviance < ranked.fit.deviance - REVERSAL_GAIN_MIN:
-            beyond.append(session.rank(ranked.candidate, fit))
-    if not beyond:
-        return singles
-    built = min(beyond, key=lambda r: r.score).fit.built
-    starts = {r.candidate.label: r.fit.started_from(built.around, built.sizes) for r in near}
-    refitted = session.fit_all([r.candidate for r in near], starts, 'effects again')
-    return better(better(singles, refitted), beyond)
 
 
 def several(session: Session, singles: Sequence[Ranked]) -> tuple[Session, list[Ranked]]:

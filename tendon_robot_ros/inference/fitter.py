@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
@@ -279,35 +279,6 @@ class Fitter:
         """Remove from whitened rows (N + nuisances, ...) what imperfections explain."""
         n, root = self.whitener.size, self.random.root(self.sizes)
         return np.concatenate([self.random.lift(root, rows[:n]), rows[n:]])
-
-    def follow(self, raw: Floats, predict: Callable[[], Floats | None]) -> Floats | None:
-        """
-        Linearise around the most likely imperfections at a residual (N,), if that is better.
-
-        Returns
-        -------
-        (N,), optional
-            The residual there; None where nothing changes or improves.
-
-        """
-        random, sizes, around = self.random, self.sizes, self.around
-        goal = random.named(random.best(raw, sizes), sizes)
-        shift = self._shift(around)
-        if np.square(self._shift(goal) - shift).sum() < DEVIANCE_CONVERGED:
-            return None
-        cost = random.misfit(raw - shift, sizes) + random.cost(around, sizes)
-        for fraction in STEP_LENGTHS:
-            moved = _between(around, goal, fraction)
-            self.linearise_around(moved)
-            markers = predict()
-            if markers is None:
-                continue
-            new = self.residual(markers)
-            errors = new - self._shift(moved)
-            if random.misfit(errors, sizes) + random.cost(moved, sizes) < cost:
-                return new
-        self.linearise_around(around)
-        return None
 
     def _shift(self, members: Members) -> Floats:
         """Whitened (N,) move of the markers by members, by their slopes."""
