@@ -34,7 +34,7 @@ from scipy.special import softmax
 
 from ..common.arrays import Bools, Floats
 from ..common.errors import NoEquilibriumError
-from ..common.estimation import CONVERGED_SD, ITERATIONS_MAX, gauss_newton
+from ..common.estimation import ITERATIONS_MAX, gauss_newton
 from ..inference.imperfections import PLAUSIBLE_SIZES, ZERO, forces_along
 from ..inference.predict import FreeParameter, SettledShapes, free_parameters
 from ..inference.search import DIFFERENCE_STEP
@@ -363,28 +363,22 @@ class _Fit:
         prior = self.observer.prior(solution.place)
         if sd < LINEAR * prior:
             return force, np.asarray(axes * values @ axes.T)
-        best = np.linalg.pinv(columns @ known)
-        for _ in range(2):  # a second time around the first mean
-            places, logs = [], []
-            for offset in SPREAD:
-                place = force + offset * sd * worst
-                with suppress(NoEquilibriumError):
-                    white = self._white(place, solution.place)
-                    aside = best @ white
-                    residual = white - columns @ (known @ aside)
-                    place = place + known @ aside
-                    places.append(place)
-                    logs.append(-0.5 * (residual @ residual / wider + place @ place / prior**2))
-            if not places:
-                return force, np.asarray(axes * values @ axes.T)
-            weights = softmax(logs)
-            before, force = force, weights @ np.array(places)
-            if abs(worst @ (force - before)) < CONVERGED_SD * sd:
-                break
-        off = np.array(places) - force
+        best, places, logs = np.linalg.pinv(columns @ known), [], []
+        for offset in SPREAD:
+            place = force + offset * sd * worst
+            with suppress(NoEquilibriumError):
+                white = self._white(place, solution.place)
+                aside = best @ white
+                residual = white - columns @ (known @ aside)
+                place = place + known @ aside
+                places.append(place)
+                logs.append(-0.5 * (residual @ residual / wider + place @ place / prior**2))
+        weights = softmax(logs)
+        mean = weights @ np.array(places)
+        off = np.array(places) - mean
         around = off.T @ (weights[:, None] * off)
         step = sd * (SPREAD[1] - SPREAD[0]) * worst  # each place stands for all within a step
-        return force, around + np.outer(step, step) / 12.0 + (known * values[:2]) @ known.T
+        return mean, around + np.outer(step, step) / 12.0 + (known * values[:2]) @ known.T
 
     def _predicted(self, force: Floats, place: float) -> Floats:
         """Return the prediction under a force at a place."""
