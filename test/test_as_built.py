@@ -14,13 +14,14 @@ from tendon_robot_ros.data import Marker, load_dataset
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.patterns import Patterns
 from tendon_robot_ros.inference.fitter import Fitter
-from tendon_robot_ros.inference.imperfections import BuiltPredictor, imperfections, planar_axis
+from tendon_robot_ros.inference.imperfections import BuiltPredictor, imperfections
 from tendon_robot_ros.inference.marginal import Likelihood, Prior, RandomEffects
 from tendon_robot_ros.inference.outliers import find_outliers
 from tendon_robot_ros.inference.predict import Predictor, free_parameters
 from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.report.diagnosis_text import lines
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot.description import planar_axis
 from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate

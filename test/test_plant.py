@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import spatial, two_sections
+from arms import planar, spatial, two_sections, wound
 from source_tree import ROOT
 
 from tendon_robot_ros.common.errors import EffectError, InputError
@@ -12,7 +12,7 @@ from tendon_robot_ros.drivers.mock import MockDriver
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.robot import Section, load_robot
 from tendon_robot_ros.robot.description import tendon_offsets
-from tendon_robot_ros.simulation.hidden import CAUSES
+from tendon_robot_ros.simulation.hidden import CAUSES, Built, Workmanship
 from tendon_robot_ros.simulation.plant import make_plant
 
 ARCS, HINGES = 'kato_10_1', 'spatial_3'
@@ -309,3 +309,9 @@ def test_tendons_may_end_on_the_axis():
 def test_senseless_plants_are_refused():
     with pytest.raises(InputError, match='refine: expected a whole number from 1 on, got 0'):
         make_plant(robot(ARCS), refine=0)
+
+
+def test_a_planar_arm_is_kinked_in_its_plane_and_one_whose_tendons_wind_in_every_direction():
+    flat, winds = (Built.draw(one, Workmanship(), 3).kink for one in (planar(), wound(planar())))
+    assert flat[:, 0].all() and not flat[:, 1].any()
+    assert winds.all()

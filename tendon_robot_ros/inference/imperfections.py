@@ -19,8 +19,7 @@ from ..common.arrays import RESOLUTION, Floats, Ints
 from ..data import DataSet
 from ..model.derivatives import Entries, Move
 from ..model.shape import ShapeBatch
-from ..robot import Robot
-from ..robot.description import tendon_offsets
+from ..robot.description import planar_axis
 from .predict import CELLS, Conditions, Point, Predictor, SettledShapes
 
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
@@ -119,12 +118,6 @@ def remainders(predictor: Predictor) -> Floats:
         for xyz in range(3):
             columns[p, :, xyz, p, :, xyz] = shapes.T
     return columns[dataset.trials > 0].reshape(-1, P, J, 3)
-
-
-def planar_axis(robot: Robot) -> int | None:
-    """Axis (0: x, 1: y) towards which an arm bends whose tendons all lie in one plane."""
-    flat = np.abs(tendon_offsets(robot)).max(axis=(0, 1)) < 1e-6
-    return 0 if flat[1] else 1 if flat[0] else None
 
 
 class BuiltPredictor(Predictor):

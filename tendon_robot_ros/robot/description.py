@@ -306,6 +306,12 @@ def tendon_offsets(robot: Robot) -> Floats:
     return offset
 
 
+def planar_axis(robot: Robot) -> int | None:
+    """Axis (0: x, 1: y) towards which an arm bends whose tendons all lie in one plane."""
+    flat = np.abs(tendon_offsets(robot)).max(axis=(0, 1)) < 1e-6
+    return 0 if flat[1] else 1 if flat[0] else None
+
+
 def helix_angles(robot: Robot) -> Floats:
     """Return the angle by which every tendon winds about the axis in every cell, (n, k) [rad]."""
     lengths = np.array(robot.cell_lengths)

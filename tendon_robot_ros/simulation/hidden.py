@@ -18,7 +18,7 @@ from ..common.arrays import Floats
 from ..common.errors import EffectError, number, refusal, suggestion
 from ..effects import Catalogue, Effect, Parameter
 from ..robot import Robot
-from ..robot.description import EffectValues
+from ..robot.description import EffectValues, planar_axis
 
 # [1] 1 sd of the stiffness from cell to cell of a plant; its owner would know so much of it
 STIFFNESS_SCATTER = 0.02
@@ -252,8 +252,8 @@ class Built:
         """Build a robot; a planar one has kinks in its plane only."""
         random = np.random.default_rng([seed, 41])
         n, m, k = robot.cells, len(robot.inputs), len(robot.tendons)
-        offsets = np.array([end for t in robot.tendons for end in (t.base, t.end)])
-        plane = (np.abs(offsets).max(axis=0) > 1e-6).astype(float)
+        axis = planar_axis(robot)
+        plane = np.ones(2) if axis is None else np.eye(2)[axis]
         return cls(
             work.stiffness * random.normal(size=n).clip(-4, 4),
             work.kink * random.normal(size=(n, 2)) * plane,

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..common.arrays import RESOLUTION, ROWS_AT_ONCE, Floats
+from ..common.arrays import ROWS_AT_ONCE, Floats
 from ..common.errors import InputError, Progress, listener
 from ..common.rotations import about, angle_between
 from ..model.compile import BEND_TOLERANCE
@@ -24,7 +24,7 @@ from ..model.model import Model
 from ..model.shape import Shape, ShapeBatch
 from ..paths.path import DIRECTION_TOLERANCE_RAD, POSITION_TOLERANCE_M
 from ..robot import Robot
-from ..robot.description import tendon_offsets
+from ..robot.description import planar_axis, tendon_offsets
 
 # [1] postures of a grid or a cloud; more would take hours, and is a mistyped step as a rule
 POSTURES_MAX = 100_000_000
@@ -342,11 +342,6 @@ def view(model: Model, angle: float, step: float = 0.1) -> ShapeBatch:
     return model.shapes(tensions[good])
 
 
-def is_flat(robot: Robot) -> bool:
-    """Whether all tendons lie in the x-z plane."""
-    return bool(np.abs(tendon_offsets(robot)[..., 1]).max() < RESOLUTION)
-
-
 def bisect(gap_at: Callable[[Floats], Floats], low: Floats, high: Floats) -> Floats:
     """
     Return tensions between two where a gap changes sign.
@@ -402,7 +397,7 @@ def look_around(model: Model, angle: float, steps: int) -> list[Shape]:
         The robot has no such postures within its limits.
 
     """
-    if is_flat(model.robot):
+    if planar_axis(model.robot) == 0:
         return _in_plane(model, angle, steps)
     return _around(model, angle, steps)
 

@@ -33,9 +33,9 @@ from ..model.compile import BEND_TOLERANCE
 from ..model.model import Model
 from ..model.shape import ShapeBatch
 from ..robot import Robot, dump_robot, parse_robot
-from ..robot.description import tendon_offsets
+from ..robot.description import planar_axis, tendon_offsets
 from .cubes import SPHERE_PART_COUNT, Cubes, Reached, beyond, folds, sphere_part
-from .view_angle import POSTURES_MAX, WORKSPACE_FILES, is_flat
+from .view_angle import POSTURES_MAX, WORKSPACE_FILES
 
 # [1] postures wanted for every cube: with fewer some stay empty by chance
 POSTURES_PER_CUBE = 10
@@ -108,7 +108,7 @@ class Sampling:
         if edge is None:
             # tips fill about three squares, or four cubes, of the length of the arm; those of one
             # section in space are a shell of about four squares
-            flat, wanted = is_flat(robot), postures / POSTURES_PER_CUBE
+            flat, wanted = planar_axis(robot) == 0, postures / POSTURES_PER_CUBE
             sheet = flat or bends_as_one(robot)
             count = (max(wanted, 0.0) / (3.0 if flat else 4.0)) ** (1 / 2 if sheet else 1 / 3)
             edge = robot.length / float(np.clip(count, minimum, maximum))
