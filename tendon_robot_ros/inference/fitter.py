@@ -211,7 +211,8 @@ class Fitter:
     def _deviance(self, raw: Floats, around: Members, sizes: Floats) -> float:
         """Return the deviance at a residual (N + nuisances,) predicted with imperfections."""
         random, n = self.random, self.whitener.size
-        errors, rest = raw[:n] - self._shift(around), raw[n:]
+        moved = np.broadcast_to(self.imperfections.moved(around), self.measured.shape)
+        errors, rest = raw[:n] - self.whitener.white(moved), raw[n:]
         chi2 = random.misfit(errors, sizes) + random.cost(around, sizes) + float(rest @ rest)
         return chi2 + random.log_determinant(sizes) + random.prior(sizes)
 
@@ -279,11 +280,6 @@ class Fitter:
         """Remove from whitened rows (N + nuisances, ...) what imperfections explain."""
         n, root = self.whitener.size, self.random.root(self.sizes)
         return np.concatenate([self.random.lift(root, rows[:n]), rows[n:]])
-
-    def _shift(self, members: Members) -> Floats:
-        """Whitened (N,) move of the markers by members, by their slopes."""
-        moved = np.broadcast_to(self.imperfections.moved(members), self.measured.shape)
-        return self.whitener.white(moved)
 
     def estimate(self, search: Search) -> Sizes:
         """Estimate the sizes of the imperfections where a search is."""

@@ -425,11 +425,8 @@ def _note(fit: Fit, i: int, half: float) -> str:
     if fit.values[i] in (parameter.low, parameter.high):
         return 'at its bound'
     spread = np.sqrt(np.diag(fit.covariance))
-    for j in range(len(fit.frees)):
-        if (
-            j != i
-            and np.isfinite(spread[j])
-            and (abs(fit.covariance[i, j]) > CORRELATED_FROM * spread[i] * spread[j] > 0.0)
-        ):
-            return f'correlated with {spoken(fit.frees[j].key)}'
+    for j, free in enumerate(fit.frees):
+        alike = CORRELATED_FROM * spread[i] * spread[j]
+        if j != i and abs(fit.covariance[i, j]) > alike > 0.0:
+            return f'correlated with {spoken(free.key)}'
     return ''

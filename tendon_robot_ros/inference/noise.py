@@ -335,12 +335,11 @@ def _likeliest(likelihood: _TrialLikelihood, may_shift: bool) -> tuple[float, fl
     The shift is 0 unless it `may_shift` and the likelihood gains by `VARIANCE_GAIN_MIN`. All but
     the first are sought as variances over that of a coordinate.
     """
-    inputs, (alone, variance) = 0.0, likelihood(0.0, 0.0)
     grid = np.arange(-14.0, 21.0) - math.log(likelihood.strongest)  # there may be several valleys
     best = int(np.argmin([likelihood(math.exp(log), 0.0)[0] for log in grid.tolist()]))
-    if best > 0:
-        inputs = likelihood.likeliest((None, 0.0), grid[best] - 1.0, grid[best] + 1.0)
-        alone, variance = likelihood(inputs, 0.0)
+    near = (None, 0.0), grid[best] - 1.0, grid[best] + 1.0
+    inputs = likelihood.likeliest(*near) if best > 0 else 0.0
+    alone, variance = likelihood(inputs, 0.0)
     position, trial, shift = math.sqrt(variance), min(math.sqrt(inputs * variance), 0.3), 0.0
     for _ in range(DESCENT_ROUNDS if may_shift else 0):
         shift = likelihood.likeliest((inputs, None), -7.0, 9.0)
