@@ -9,7 +9,8 @@ import simulated
 from simulated import measure, postures
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.next_measurement import input_grid, propose
+from tendon_robot_ros.diagnosis.next_measurement import _conditions, input_grid, propose
+from tendon_robot_ros.effects import load_catalogue
 
 ROBOT = simulated.robot()
 ONE_TENDON = np.outer([0.3, 0.5, 0.7, 0.9, 1.1, 1.3], [1.0, 0.0])
@@ -41,6 +42,16 @@ def test_nothing_is_proposed_where_the_tensions_used_are_the_limits():
     limited = replace(ROBOT, tension_limits=(0.0, 1.0))
     used = postures(limited, [[1.0, 1.0]] * 3)
     assert propose(SimpleNamespace(dataset=used, robot=limited), []) is None
+
+
+def test_an_arm_that_is_turned_over_has_gravity_the_other_way_round_and_no_minus_zero():
+    hung = SimpleNamespace(robot=replace(ROBOT, gravity=(9.81, 0.0, 0.0)))
+    used, group = postures(ROBOT, ONE_TENDON), SimpleNamespace(names=('gravity',))
+    session = SimpleNamespace(
+        dataset=used, robot=ROBOT, predictor=hung, catalogue=load_catalogue()
+    )
+    (_, (_, turned, _)) = _conditions(session, [SimpleNamespace(candidate=group)])
+    assert str(turned.tolist()) == '[-9.81, 0.0, 0.0]'
 
 
 @pytest.mark.blind

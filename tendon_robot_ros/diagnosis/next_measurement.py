@@ -59,7 +59,7 @@ def _conditions(
     names = {name for r in group for name in r.candidate.names}
     gravity = np.array(session.predictor.robot.gravity or (0.0, 0.0, 0.0))
     if names & session.catalogue.needing('gravity') and np.linalg.norm(gravity) > 0.0:
-        yield grid, -gravity, None
+        yield grid, 0.0 - gravity, None
     history = names & session.catalogue.needing('history')
     if session.dataset.path != 'from_straight' and history:
         yield grid, None, grid[np.argmax(grid.sum(axis=1))]
