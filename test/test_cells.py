@@ -53,16 +53,12 @@ def test_the_fit_is_that_of_generalised_least_squares():
 
 @pytest.mark.long
 def test_scatter_alarms_where_nothing_is_declared_and_is_quiet_where_it_is():
-    undeclared = [
-        diagnose(scattered(seed), EXACT, CATALOGUE, 1).verdict != 'adequate' for seed in range(4)
-    ]
-    assert sum(undeclared) >= 3
-    assert [diagnose(scattered(seed), ROBOT, CATALOGUE, 1).verdict for seed in range(4)] == (
-        ['adequate'] * 4
-    )
+    for seed in range(2):
+        assert diagnose(scattered(seed), EXACT, CATALOGUE, 1).verdict != 'adequate'
+        assert diagnose(scattered(seed), ROBOT, CATALOGUE, 1).verdict == 'adequate'
 
 
-@pytest.mark.parametrize('seed', [1, 2])
+@pytest.mark.parametrize('seed', [1, slow(2)])
 @pytest.mark.long
 def test_an_effect_is_named_alone_in_spite_of_the_scatter(seed):
     found = diagnose(scattered(seed, {'hinge_friction': {'lever': 2e-4}}), ROBOT, CATALOGUE, 1)
