@@ -7,6 +7,7 @@ from source_tree import ROOT
 
 from tendon_robot_ros.common.rotations import turned_in_plane
 from tendon_robot_ros.effects import load_catalogue
+from tendon_robot_ros.inference.description import with_cells
 from tendon_robot_ros.robot import Robot, Section, Tendon, load_robot
 
 GRAVITY = (1.0, -2.0, 9.4)
@@ -83,6 +84,24 @@ def section(name, cells, length, stiffness, bends_as='arc'):
 COARSE = replace(
     THREE, sections=(section(THREE.sections[0].name, 8, 0.015, 0.016, THREE.sections[0].bends_as),)
 )
+
+
+def coarse(robot, cells=None):
+    """Return a robot of so many cells per section (half of them), as long and as soft."""
+    robot, sections = load_robot(robot), []
+    for one in robot.sections:
+        count = cells or one.cells // 2
+        longer = one.cells / count
+        compliance = longer * float(np.mean(np.reciprocal(one.bending_stiffness)))
+        length = longer * one.cell_length
+        sections.append(section(one.name, count, length, 1.0 / compliance, one.bends_as))
+    return replace(robot, sections=tuple(sections))
+
+
+def soft_cell(robot, cell, factor):
+    """Return a robot of which one cell (from 1) is so many times as stiff as described."""
+    factors = np.where(np.arange(robot.cells) == cell - 1, factor, 1.0)
+    return with_cells(robot, factors, digits=12)
 
 
 def made(name, sections, tendons, effects):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from arms import coarse
 from source_tree import ROOT
 
 from tendon_robot_ros.data import DataSet, default_markers
@@ -27,23 +28,10 @@ def robot(name='kato_10_1_single', lacks=(), cells=None, **changes):
     """
     found = load_robot(ROOT / 'config' / 'robots' / f'{name}.yaml')
     if cells is not None:
-        found = replace(found, sections=tuple(with_cells(one, cells) for one in found.sections))
+        found = coarse(found, cells)
     effects = dict(found.effects) | {effect: {'fraction': 1.0} for effect in SHAPING}
     effects = {name: values for name, values in effects.items() if name not in lacks}
     return replace(found, effects=effects, **{'gravity': (0.0, 0.0, 0.0)} | changes)
-
-
-def with_cells(section, count):
-    """Return a section of equal cells that is as long, and as soft as a whole."""
-    longer = section.cells / count
-    compliance = longer * float(np.mean(np.reciprocal(section.bending_stiffness)))
-    return replace(
-        section,
-        cells=count,
-        cell_length=longer * section.cell_length,
-        bending_stiffness=(1.0 / compliance,) * count,
-        mass_profile=(1.0,) * count,
-    )
 
 
 def postures(described, inputs, trials=5, noise=NOISE, **fields):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import simulated
 import yaml
+from arms import soft_cell
 from marks import slow
 from measurements import blind, truth
 from simulated import CATALOGUE, NOISE, measured
@@ -242,11 +243,9 @@ def test_gravity_goes_into_a_file_that_did_not_know_where_down_is():
 
 
 def test_what_remains_widens_the_intervals_and_is_said():
-    section = ROBOT.sections[0]
-    soft = np.where(np.arange(15) == 9, 0.6, 1.0) * section.bending_stiffness
-    real = replace(ROBOT, sections=(replace(section, bending_stiffness=tuple(soft)),))
     robot = replace(ROBOT, exact=True)  # else the soft cell is found, and nothing remains
-    made = add_effects(replace(measured(real), robot=robot), ['backbone_stiffness'])
+    dataset = replace(measured(soft_cell(ROBOT, 10, 0.6)), robot=robot)
+    made = add_effects(dataset, ['backbone_stiffness'])
     assert made.probability < 1e-6
     assert made.more_at_work.startswith('more is at work than these effects: what is left')
     assert made.robot.fitted['backbone_stiffness']['more_at_work'] == made.more_at_work

@@ -24,9 +24,7 @@ def scattered(seed, hidden=None, **cells):
     factors = 1.0 + 0.02 * np.random.default_rng(seed).normal(size=CELLS)
     for name, factor in cells.items():
         factors[int(name.removeprefix('cell_')) - 1] *= factor
-    section = EXACT.sections[0]
-    stiffness = tuple(np.array(section.bending_stiffness) * factors)
-    real = replace(EXACT, sections=(replace(section, bending_stiffness=stiffness),))
+    real = with_cells(EXACT, factors, digits=12)
     return replace(measured(real, hidden, seed=seed, noise=FINE, count=10), robot=ROBOT)
 
 

@@ -82,10 +82,16 @@ def test_what_is_wrong_in_one_trial_is_found_and_nothing_else(happens, trials, s
         assert set(map(tuple, np.argwhere(off).tolist())) == runs
 
 
-@pytest.mark.parametrize('seed', range(3))
-def test_two_against_two_tell_nothing(seed, slopes):
-    moves = noise(np.random.default_rng(seed), slopes, 4)
-    moves[1, :2] += 0.02
+@pytest.mark.parametrize(
+    ('seed', 'trials', 'half', 'off'),
+    [
+        *((seed, 4, np.s_[1, :2], 0.02) for seed in range(3)),
+        (5, 8, np.s_[1, ::2, 3], 40.0 * NOISE),  # of one marker
+    ],
+)
+def test_half_of_the_readings_against_the_other_half_tell_nothing(seed, trials, half, off, slopes):
+    moves = noise(np.random.default_rng(seed), slopes, trials)
+    moves[half] += off
     readings, trials = contradicted(moves, slopes)
     assert not readings.any() and not trials.any()
 
@@ -135,13 +141,6 @@ def test_inputs_that_hardly_vary_explain_no_wild_reading():
         readings, trials = contradicted(moves, slopes)
         told.append(np.argwhere(readings).tolist() == [[p, 3, 2]] and not trials.any())
     assert all(told)
-
-
-def test_half_of_the_readings_of_a_marker_against_the_other_half_tell_nothing(slopes):
-    moves = noise(np.random.default_rng(5), slopes, 8)
-    moves[1, ::2, 3] += 40.0 * NOISE
-    readings, trials = contradicted(moves, slopes)
-    assert not readings.any() and not trials.any()
 
 
 def test_a_reading_that_one_trial_lost_makes_none_of_the_others_stand_out():

@@ -254,26 +254,28 @@ def test_two_trackers_on_one_topic_are_named(tmp_path):
         import_bag(Two().write(tmp_path / 'bag', LOADED_TWICE), SMALL)
 
 
-def test_a_marker_that_is_numbered_anew_in_the_shape_is_one(tmp_path):
-    class Renumbered(Mixed):
+CHANGED = {  # what a tracker publishes for the markers from 9 s on and before, and what is said
+    'numbered anew': (
+        ([0, 3, 2, 1], [0, 1, 2, 3]),
+        'poses 1, 3 of the shape are one marker, numbered anew',
+    ),
+    'exchanged': (
+        ([0, 2, 1], [0, 1, 2]),
+        'pose 1 of the shape and pose 2 of the shape exchange',
+    ),
+}
+
+
+@pytest.mark.parametrize('name', CHANGED)
+def test_markers_that_change_their_places_in_the_shape_are_put_back(name, tmp_path):
+    orders, words = CHANGED[name]
+
+    class Changed(Mixed):
         def _write(self, writer, time, shape, inputs):
             self.count = getattr(self, 'count', 0) + 1
-            poses = np.insert(shape, 3, shape[1], axis=0)
-            poses[1 if self.count > 9.0 * RATE else 3] = np.nan
-            super()._write(writer, time, poses, inputs)
+            unseen = np.vstack([shape, np.full(3, np.nan)])
+            super()._write(writer, time, unseen[orders[self.count <= 9.0 * RATE]], inputs)
 
-    found = import_bag(Renumbered().write(tmp_path / 'bag', LOADED_TWICE), SMALL, rest=0.2)
+    found = import_bag(Changed().write(tmp_path / 'bag', LOADED_TWICE), SMALL, rest=0.2)
     is_right(found)
-    assert found.left_out[0] == 'poses 1, 3 of the shape are one marker, numbered anew'
-
-
-def test_poses_that_exchange_their_places_in_the_shape_are_put_back(tmp_path):
-    class Exchanged(Mixed):
-        def _write(self, writer, time, shape, inputs):
-            self.count = getattr(self, 'count', 0) + 1
-            order = [0, 2, 1] if self.count > 9.0 * RATE else [0, 1, 2]
-            super()._write(writer, time, shape[order], inputs)
-
-    found = import_bag(Exchanged().write(tmp_path / 'bag', LOADED_TWICE), SMALL, rest=0.2)
-    is_right(found)
-    assert found.left_out[0].startswith('pose 1 of the shape and pose 2 of the shape exchange')
+    assert found.left_out[0].startswith(words)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
-from arms import planar
+from arms import planar, soft_cell
 from marks import slow
 from measurements import blind
 from simulated import CATALOGUE, NOISE, measure, measured, postures
@@ -132,10 +132,7 @@ def test_wire_pulls_show_a_stretching_tendon():
 
 @pytest.mark.long
 def test_what_is_good_enough_for_the_user_is_adequate():
-    section = EXACT.sections[0]
-    soft = np.where(np.arange(section.cells) == 5, 0.75, 1.0) * section.bending_stiffness
-    real = replace(EXACT, sections=(replace(section, bending_stiffness=tuple(soft)),))
-    dataset = replace(measured(real, count=8), robot=EXACT)
+    dataset = replace(measured(soft_cell(EXACT, 6, 0.75), count=8), robot=EXACT)
     assert diagnose(dataset).verdict == 'outside_catalogue'
     found = diagnose(replace(dataset, accuracy=5e-3))
     assert found.verdict == 'adequate'

@@ -298,19 +298,24 @@ def test_leaving_a_posture_out_keeps_the_priors_of_imperfections():
     assert fit.held_out(owners)[0] == pytest.approx(by_hand, rel=1e-3)
 
 
+def refitted(dataset, session, fit):
+    """Yield what a fit without each posture leaves (P, J, 3) [m] of all of them."""
+    for name in dataset.postures:
+        part = dataset.select([other for other in dataset.postures if other != name])
+        predictor = Predictor(part, EXACT, CATALOGUE)
+        whitener = Whitener(part, session.noise, input_slopes(predictor, fit.point))
+        refit = Fitter(predictor, whitener).fit(fit.frees, fit.point)
+        yield dataset.mean - session.predictor.markers(refit.point)
+
+
 def test_leaving_a_posture_out_is_what_refitting_without_it_gives():
     dataset = measured(EXACT, {'backbone_stiffness': {'relative_change': 0.05}}, count=6)
     session, fit = settled(dataset, ['backbone_stiffness'])
     total, probability = fit.held_out(session.whitener.owners)
-    by_hand = 0.0
-    for p in range(6):
-        others = [name for name in dataset.postures if name != str(p)]
-        part = dataset.select(others)
-        predictor = Predictor(part, EXACT, CATALOGUE)
-        whitener = Whitener(part, session.noise, input_slopes(predictor, fit.point))
-        refit = Fitter(predictor, whitener).fit(fit.frees, fit.point)
-        white = session.whitener.white(dataset.mean - session.predictor.markers(refit.point))
-        by_hand += float((white[session.whitener.owners == p] ** 2).sum())
+    by_hand = sum(
+        float((session.whitener.white(off)[session.whitener.owners == p] ** 2).sum())
+        for p, off in enumerate(refitted(dataset, session, fit))
+    )
     assert total == pytest.approx(by_hand, rel=0.01)
     assert total > fit.chi2
     assert 0.001 < probability <= 1.0
@@ -321,15 +326,8 @@ def test_leaving_postures_out_keeps_a_value_within_its_bounds_and_the_others_fol
     session, fit = settled(dataset, ['backbone_stiffness', 'hinge_friction'])
     assert fit.values[1] == 0.0
     squares = left_out_squares(session.fitter, fit)
-    by_hand = np.empty_like(squares)
-    for p, name in enumerate(dataset.postures):
-        part = dataset.select([other for other in dataset.postures if other != name])
-        predictor = Predictor(part, EXACT, CATALOGUE)
-        whitener = Whitener(part, session.noise, input_slopes(predictor, fit.point))
-        refit = Fitter(predictor, whitener).fit(fit.frees, fit.point)
-        off = dataset.mean - session.predictor.markers(refit.point)
-        by_hand[p] = (off[p] ** 2).sum(axis=1)
-    assert squares.mean() == pytest.approx(by_hand.mean(), rel=0.01)
+    left = [off[p] ** 2 for p, off in enumerate(refitted(dataset, session, fit))]
+    assert squares.mean() == pytest.approx(np.sum(left, axis=2).mean(), rel=0.01)
 
 
 def test_noise_that_is_not_known_well_makes_the_judgement_milder():

@@ -23,6 +23,7 @@ from tendon_robot_ros.inference.description import (
     arm_with,
     blocks_of_the_arm,
     profile_factors,
+    with_cells,
 )
 from tendon_robot_ros.inference.noise import Noise, Whitener
 from tendon_robot_ros.inference.predict import Predictor
@@ -129,13 +130,11 @@ def test_nothing_joins_where_nothing_is_missing(tmp_path, capsys, monkeypatch):
 def test_a_stiffness_that_changes_along_the_arm_is_found_and_written():
     coefficients = [0.3, -0.2]
     factors = profile_factors(coefficients, ROBOT)
-    section = ROBOT.sections[0]
-    stiff = tuple(np.array(section.bending_stiffness) * factors)
-    true = replace(ROBOT, sections=(replace(section, bending_stiffness=stiff),))
+    true = with_cells(ROBOT, factors, digits=12)
     dataset = replace(measured(true, seed=3), robot=ROBOT)
     found = improve(dataset)
     assert [step.joined for step in found.steps[1 : found.taken + 1]] == ['bending_stiffness']
-    change = np.array(found.robot.sections[0].bending_stiffness) / stiff
+    change = np.divide(*(r.sections[0].bending_stiffness for r in (found.robot, true)))
     assert np.abs(np.log(change[1:-1])).max() < 0.1
     assert '% at the middle' in '\n'.join(improvement_lines(found))
 

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import processes
 import pytest
-from watched_arm import coarse
+from arms import coarse
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.common.errors import TendonRobotError

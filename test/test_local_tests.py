@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy  # which imports its parts when they are asked for
 import simulated
+from arms import soft_cell
 from simulated import CATALOGUE, measure, measured, postures
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
@@ -26,14 +27,6 @@ from tendon_robot_ros.report.page import Page
 from tendon_robot_ros.report.sentences import marks, of_inputs, place_of, where_wrong
 
 ROBOT = simulated.robot()
-
-
-def softened(cell, factor):
-    """Return the robot with one cell (from 1) that is softer."""
-    section = ROBOT.sections[0]
-    stiffness = np.array(section.bending_stiffness)
-    stiffness[cell - 1] *= factor
-    return replace(ROBOT, sections=(replace(section, bending_stiffness=tuple(stiffness)),))
 
 
 def base_of(dataset, robot=ROBOT):
@@ -165,7 +158,7 @@ def test_an_arm_without_a_fault_has_none(seed):
 
 
 def test_a_soft_cell_is_found_in_its_place():
-    dataset = replace(measured(softened(9, 0.65)), robot=ROBOT)
+    dataset = replace(measured(soft_cell(ROBOT, 9, 0.65)), robot=ROBOT)
     (fault,) = faults(dataset)
     assert (fault['kind'], fault['place'], fault['posture']) == ('cell_stiffness', 'cell 9', None)
     assert fault['low'] < 1.0 - 1.0 / 0.65 < fault['high']  # of its bend: of its compliance
@@ -197,7 +190,7 @@ def test_an_exact_description_is_tested_as_well(slipped):
 
 @pytest.mark.long
 def test_the_diagnosis_says_and_draws_where_the_model_is_wrong():
-    dataset = replace(measured(softened(9, 0.65)), robot=ROBOT)
+    dataset = replace(measured(soft_cell(ROBOT, 9, 0.65)), robot=ROBOT)
     diagnosis = diagnose(dataset, catalogue=CATALOGUE)
     (fault,) = diagnosis.details['local_faults']
     length = ROBOT.sections[0].cell_length

@@ -14,6 +14,7 @@ from tendon_robot_ros.common.errors import RobotDescriptionError
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.diagnosis.add import add_effects, restore
 from tendon_robot_ros.inference.crossval import model_error_of
+from tendon_robot_ros.inference.description import with_cells
 from tendon_robot_ros.inference.session import Question
 from tendon_robot_ros.report.comparison import verdict
 from tendon_robot_ros.report.diagnosis_text import addition_warnings
@@ -22,18 +23,7 @@ from tendon_robot_ros.robot import dump_robot, load_robot, parse_robot
 ROBOT = replace(simulated.robot(cells=6), exact=True)
 LOAD = {'tip_load': {'force_x': 0.1}}
 HINGES = {'hinge_friction': {'lever': 2e-4}}
-UNEVEN = replace(
-    ROBOT,
-    sections=tuple(
-        replace(
-            section,
-            bending_stiffness=tuple(
-                (np.array(section.bending_stiffness) * np.linspace(1.4, 0.7, 6)).tolist()
-            ),
-        )
-        for section in ROBOT.sections
-    ),
-)
+UNEVEN = with_cells(ROBOT, np.linspace(1.4, 0.7, 6), digits=12)
 
 
 def of(robot, dataset):

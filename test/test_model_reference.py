@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arms import GRAVITY, TYPICAL, planar, section, spatial, two_sections, wound
+from arms import GRAVITY, TYPICAL, planar, section, soft_cell, spatial, two_sections, wound
 from reference import Reference
 from source_tree import ROOT
 
@@ -102,9 +102,7 @@ def test_one_cell():
 
 def test_a_cell_that_bends_far_among_others_that_do_not():
     robot = planar(4, {'straight_tendon': {'fraction': 1.0}}, length=0.02)
-    (only,) = robot.sections
-    stiffness = tuple(k * (0.04 if i == 2 else 1.0) for i, k in enumerate(only.bending_stiffness))
-    robot = replace(robot, sections=(replace(only, bending_stiffness=stiffness),))
+    robot = soft_cell(robot, 3, 0.04)
     bends = np.abs(Model(robot).shape([0.0, 0.5]).bend[:, 0])
     assert bends[2] > 1.6 and bends[[0, 1, 3]].max() < 0.4  # half_turn: series and closed form
     check(robot, [0.0, 0.5])

@@ -167,20 +167,29 @@ def root_of(whitener, dataset, p):
     return whitener.white(units)[:, whitener.owners == p].T
 
 
-def test_the_mean_of_a_marker_that_a_trial_lost_has_the_inputs_of_the_others():
+@pytest.mark.parametrize(
+    'noise',
+    [
+        Noise(2e-4, 0.02, 0.005, np.inf, 'declared'),
+        Noise(2e-4, 0.0, 0.0, np.inf, 'declared', shift=3e-4),
+    ],
+    ids=['inputs', 'shift'],
+)
+def test_the_mean_of_a_marker_that_a_trial_lost_has_what_the_others_share(noise):
     dataset, random = measured(ROBOT), np.random.default_rng(2)
     positions, slopes = dataset.positions.copy(), slopes_of(dataset)
     positions[random.random(positions.shape[:3]) < 0.1] = np.nan
-    positions[4, 3] = np.nan
+    if noise.trial:
+        positions[4, 3] = np.nan
     dataset = replace(dataset, positions=positions)
-    noise = Noise(2e-4, 0.02, 0.005, np.inf, 'declared')
     whitener = Whitener(dataset, noise, slopes)
     for p in range(len(positions)):
         moved = [noise.setting * one for one in slopes[p]]
+        of_a_trial = [*(noise.trial * slopes[p]), *(noise.shift * np.eye(3))]
         for trial in range(positions.shape[1]):  # what it does to the means, trial by trial
-            for one in slopes[p]:
+            for one in of_a_trial:
                 there = positions.copy()
-                there[p, trial] += noise.trial * one
+                there[p, trial] += one
                 moved.append((replace(dataset, positions=there).mean - dataset.mean)[p])
         g = np.array(moved).reshape(len(moved), -1)
         own = noise.position**2 / np.repeat(dataset.counts[p], 3)
@@ -238,27 +247,6 @@ def test_what_shifts_with_the_trials_is_white_and_no_error_of_the_model():
         ignorant.append(Whitener(dataset, replace(noise, shift=0.0), slopes).white(left))
     assert (np.array(rows) ** 2).mean() == pytest.approx(1.0, abs=0.06)
     assert (np.array(ignorant) ** 2).mean() > 1.5
-
-
-def test_a_shift_weighs_what_lost_readings_leave_of_it():
-    dataset, random = measured(ROBOT), np.random.default_rng(2)
-    positions = dataset.positions.copy()
-    positions[random.random(positions.shape[:3]) < 0.1] = np.nan
-    dataset = replace(dataset, positions=positions)
-    noise = Noise(2e-4, 0.0, 0.0, np.inf, 'declared', shift=3e-4)
-    whitener = Whitener(dataset, noise, slopes_of(dataset))
-    for p in range(len(positions)):
-        moved = []
-        for trial in range(positions.shape[1]):  # what a shift does to the means, trial by trial
-            for axis in range(3):
-                there = positions.copy()
-                there[p, trial, :, axis] += noise.shift
-                moved.append((replace(dataset, positions=there).mean - dataset.mean)[p])
-        g = np.array(moved).reshape(len(moved), -1)
-        root = root_of(whitener, dataset, p)
-        own = noise.position**2 / np.repeat(dataset.counts[p], 3)
-        white = root @ (np.diag(own) + g.T @ g) @ root.T
-        np.testing.assert_allclose(white, np.eye(len(own)), atol=1e-8)
 
 
 def test_of_what_nobody_saw_there_is_no_error_and_no_warning():

@@ -5,19 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
+from arms import soft_cell
 from simulated import CATALOGUE, NOISE, measured
 
 from tendon_robot_ros.diagnosis.patterns import Pattern, Patterns, independent
+from tendon_robot_ros.inference.description import with_cells
 from tendon_robot_ros.inference.session import Question
 
 ROBOT = replace(simulated.robot(), exact=True)  # scatter takes its share of every pattern
-
-
-def damaged(factors):
-    """Return the robot with other stiffness per cell."""
-    section = ROBOT.sections[0]
-    stiffness = tuple(np.array(section.bending_stiffness) * factors)
-    return replace(ROBOT, sections=(replace(section, bending_stiffness=stiffness),))
 
 
 def patterns_of(dataset, robot=ROBOT):
@@ -30,7 +25,7 @@ def patterns_of(dataset, robot=ROBOT):
 
 @pytest.mark.parametrize(('cell', 'factor'), [(4, 0.6), (7, 1.6)])
 def test_scatter_blurs_the_place_of_a_soft_cell_and_the_cells_alike_are_said(cell, factor):
-    dataset = measured(damaged(np.where(np.arange(15) == cell - 1, factor, 1.0)))
+    dataset = measured(soft_cell(ROBOT, cell, factor))
     fit, found = patterns_of(dataset, replace(ROBOT, exact=False))
     soft = found['soft_cell']
     assert cell in soft.alike and soft.cell in soft.alike and len(soft.alike) <= 2
@@ -40,7 +35,7 @@ def test_scatter_blurs_the_place_of_a_soft_cell_and_the_cells_alike_are_said(cel
 
 @pytest.mark.parametrize(('cell', 'factor'), [(4, 0.6), (11, 0.8), (7, 1.6)])
 def test_a_soft_cell_is_found_at_its_place(cell, factor):
-    fit, found = patterns_of(measured(damaged(np.where(np.arange(15) == cell - 1, factor, 1.0))))
+    fit, found = patterns_of(measured(soft_cell(ROBOT, cell, factor)))
     soft = found['soft_cell']
     assert soft.cell == cell
     assert soft.size == pytest.approx(1.0 / factor, rel=0.08)
@@ -49,7 +44,7 @@ def test_a_soft_cell_is_found_at_its_place(cell, factor):
 
 
 def test_a_stiffness_that_changes_along_the_arm_is_a_taper():
-    fit, found = patterns_of(measured(damaged(np.linspace(0.9, 1.1, 15))))
+    fit, found = patterns_of(measured(with_cells(ROBOT, np.linspace(0.9, 1.1, 15))))
     taper = found['taper']
     assert taper.size == pytest.approx(1.1 / 0.9 - 1.0, abs=0.05)
     assert taper.score == min(pattern.score for pattern in found.values())
@@ -58,7 +53,7 @@ def test_a_stiffness_that_changes_along_the_arm_is_a_taper():
 
 
 def test_a_stiffness_that_is_another_one_everywhere_is_no_taper():
-    fit, found = patterns_of(measured(damaged(np.full(15, 0.95))))
+    fit, found = patterns_of(measured(with_cells(ROBOT, np.full(15, 0.95))))
     assert found['taper'].deviance < fit.deviance - 100.0
     assert found['taper'].gain_p > 0.01
 
@@ -119,7 +114,7 @@ def test_places_that_move_markers_alike_count_as_one():
 
 
 def test_a_line_that_patterns_are_far_above_changes_nothing_below_it():
-    dataset = measured(damaged(np.where(np.arange(15) == 3, 0.2, 1.0)), count=6)
+    dataset = measured(soft_cell(ROBOT, 4, 0.2), count=6)
     robot = replace(ROBOT, exact=False)
     session = Question.of(replace(dataset, robot=robot), robot, CATALOGUE).weigh()
     fit = session.base_fit()

@@ -16,11 +16,11 @@ from source_tree import ROOT
 pytest.importorskip('rclpy')
 pytest.importorskip('serial')
 
+from arms import coarse
 from emulated import ForkedEmulator
 from forked import Forked
 from geometry_msgs.msg import Point, Pose, PoseArray
 from ros_station import Station, start
-from watched_arm import coarse
 
 from tendon_robot_ros.common.errors import TendonRobotError
 from tendon_robot_ros.control.inputs import Trajectory

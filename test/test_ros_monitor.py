@@ -13,13 +13,13 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from arms import coarse
 from diagnostic_msgs.msg import DiagnosticStatus
 from forked import Forked
 from geometry_msgs.msg import WrenchStamped
 from ros_station import LATCHED, Station, last, start, values
 from std_msgs.msg import Float64, Float64MultiArray, String
 from visualization_msgs.msg import Marker, MarkerArray
-from watched_arm import coarse
 
 from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.model.model import Model

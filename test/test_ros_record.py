@@ -14,13 +14,13 @@ import pytest
 pytest.importorskip('rclpy')
 pytest.importorskip('rosbags')
 
+from arms import coarse
 from builtin_interfaces.msg import Duration
 from forked import Forked
 from geometry_msgs.msg import TransformStamped
 from ros_station import INPUTS, PATIENT, holding, last, stamp
 from rosbags.highlevel import AnyReader
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-from watched_arm import coarse
 
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.data.loading import import_bag

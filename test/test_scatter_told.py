@@ -39,32 +39,24 @@ def scattered(members, size, draws, seed=0):
     return random, off, off @ (1e4 * np.eye(2 * members)[:members])
 
 
+@pytest.mark.parametrize('moved', [0, 3])
 @pytest.mark.parametrize('size', [0.01, 0.03, 0.09])
-def test_a_scatter_that_shows_is_told_as_the_sd_of_so_many_normal_deviates(size):
-    """Closed form: n s² / sigma² is chi² of n degrees of freedom, whatever is plausible."""
+def test_a_scatter_that_shows_is_told_as_the_sd_of_so_many_normal_deviates(size, moved):
+    """
+    Closed form: n s² / sigma² is chi² of n degrees of freedom, whatever is plausible.
+
+    Members that parameters move as well tell nothing of the size.
+    """
     random, off, residuals = scattered(12, size, 100)
-    held = 0
-    for own, residual in zip(off, residuals, strict=True):
-        found = random.estimate(residual, np.zeros((24, 0)), prior=Prior.NONE).values
-        rms = np.sqrt(np.mean(own**2))
-        assert found == pytest.approx([rms], rel=0.03)
-        low, high = (float(end[0]) for end in SizeIntervals(random, found).ends(found))
-        assert low == pytest.approx(found[0] * np.sqrt(12 / chi2_isf(0.025, 12)), rel=0.01)
-        assert high == pytest.approx(found[0] * np.sqrt(12 / chi2_isf(0.975, 12)), rel=0.01)
-        held += low <= size <= high
-    assert 0.90 <= held / 100 <= 0.99
-
-
-def test_parameters_take_deviations_and_no_size():
-    """Closed form: of twelve members that three parameters move as well nine tell the size."""
-    random, off, residuals = scattered(12, 0.03, 3)
-    slopes = 1e4 * np.eye(24)[:, :3]
+    held, slopes, n = 0, 1e4 * np.eye(24)[:, :moved], 12 - moved
     for own, residual in zip(off, residuals, strict=True):
         found = random.estimate(residual, slopes, prior=Prior.NONE).values
-        assert found == pytest.approx([np.sqrt(np.mean(own[3:] ** 2))], rel=0.03)
+        assert found == pytest.approx([np.sqrt(np.mean(own[moved:] ** 2))], rel=0.03)
         low, high = (float(end[0]) for end in SizeIntervals(random, found, slopes).ends(found))
-        assert low == pytest.approx(found[0] * np.sqrt(9 / chi2_isf(0.025, 9)), rel=0.01)
-        assert high == pytest.approx(found[0] * np.sqrt(9 / chi2_isf(0.975, 9)), rel=0.01)
+        assert low == pytest.approx(found[0] * np.sqrt(n / chi2_isf(0.025, n)), rel=0.01)
+        assert high == pytest.approx(found[0] * np.sqrt(n / chi2_isf(0.975, n)), rel=0.01)
+        held += low <= size <= high
+    assert 0.90 <= held / 100 <= 0.99
 
 
 def test_a_scatter_that_is_not_found_is_below_what_noise_would_hide():

@@ -21,6 +21,7 @@ from tendon_robot_ros.diagnosis.setup_mistakes import (
     mended_rivals,
 )
 from tendon_robot_ros.diagnosis.stepwise import Stepwise
+from tendon_robot_ros.inference.description import with_cells
 from tendon_robot_ros.inference.intervals import Value
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.inference.session import Question
@@ -88,9 +89,7 @@ def test_neighbours_that_were_never_seen_together_tell_no_unit():
 
 
 def test_a_mistake_without_which_nothing_settles_says_the_best_factor(right):
-    section = ROBOT.sections[0]
-    soft = replace(section, bending_stiffness=tuple(0.1 * k for k in section.bending_stiffness))
-    found = diagnose(replace(right, robot=replace(ROBOT, sections=(soft,))))
+    found = diagnose(replace(right, robot=with_cells(ROBOT, 0.1)))
     assert found.details['mistake']['name'] == 'unit_of_inputs'
     assert 'divided by 10' in found.remainder
 
@@ -151,6 +150,14 @@ def limp():
     return parse_robot(LIMP)
 
 
+def cut(robot, count):
+    """Return a robot of the first cells only."""
+    (section,) = robot.sections
+    stiffness, mass = (getattr(section, k)[:count] for k in ('bending_stiffness', 'mass_profile'))
+    shorter = replace(section, cells=count, bending_stiffness=stiffness, mass_profile=mass)
+    return replace(robot, sections=(shorter,))
+
+
 @pytest.mark.long
 def test_a_tip_load_that_a_miscount_could_nearly_do_is_named(limp):
     dataset = measured(limp, {'tip_load': {'force_x': 0.1}}, count=8)
@@ -167,11 +174,8 @@ def test_a_tip_load_that_a_miscount_could_nearly_do_is_named(limp):
 @pytest.mark.long
 def test_a_miscount_that_no_effect_explains_is_said(limp):
     right = measured(limp, count=6)
-    arm = limp.sections[0]
-    shorter = replace(arm, cells=10, bending_stiffness=arm.bending_stiffness[:10],
-                      mass_profile=arm.mass_profile[:10])  # fmt: skip
     along = tuple(replace(m, arc_length=m.arc_length * 10 / 11) for m in right.markers)
-    found = diagnose(replace(right, robot=replace(limp, sections=(shorter,)), markers=along))
+    found = diagnose(replace(right, robot=cut(limp, 10), markers=along))
     assert found.verdict == 'cannot_judge'
     assert 'with 11 cells instead of 10 in the arm' in found.details['mistake']['sentence']
 
@@ -187,25 +191,16 @@ def registered(dataset):
 
 def a_cell_too_few(dataset):
     """Return the data set as it is of an arm of a cell less, its last marker at the tip."""
-    section = dataset.robot.sections[0]
-    count, cell = section.cells - 1, section.cell_length
-    shorter = replace(section, cells=count, bending_stiffness=section.bending_stiffness[:count],
-                      mass_profile=section.mass_profile[:count])  # fmt: skip
+    cell = dataset.robot.sections[0].cell_length
     markers = tuple(replace(m, arc_length=m.arc_length - cell) for m in dataset.markers)
-    return replace(dataset, robot=replace(dataset.robot, sections=(shorter,)), markers=markers)
-
-
-def stiff(dataset, factor):
-    section = dataset.robot.sections[0]
-    changed = tuple(factor * k for k in section.bending_stiffness)
-    section = replace(section, bending_stiffness=changed)
-    return replace(dataset, robot=replace(dataset.robot, sections=(section,)))
+    return replace(dataset, robot=cut(dataset.robot, dataset.robot.cells - 1), markers=markers)
 
 
 BESIDE = {
     'spatial, a cell too few': (a_cell_too_few, 'cells', 'with 11 cells instead of 10 in the arm'),
     'spatial, the modulus ten times too large': (
-        lambda d: stiff(d, 10.0), 'stiffness', 'with the bending stiffness divided by 10'),
+        lambda d: replace(d, robot=with_cells(d.robot, 10.0)), 'stiffness',
+        'with the bending stiffness divided by 10'),
     'spatial, mN for N': (
         lambda d: replace(d, inputs=1e-3 * d.inputs), 'unit_of_inputs',
         'with all inputs multiplied by 1000'),
@@ -385,10 +380,7 @@ def test_markers_cut_at_an_end_of_an_arm_with_cells_too_few_are_said(end, how, h
     """Markers in one place cannot be apart: the arm goes on, whatever effect is missing."""
     robot = simulated.robot('spatial_3')
     right = measured(robot, hidden, count=6)
-    section = robot.sections[0]
-    shorter = replace(section, cells=18, bending_stiffness=section.bending_stiffness[:18],
-                      mass_profile=section.mass_profile[:18])  # fmt: skip
-    described = replace(robot, sections=(shorter,))
+    described = cut(robot, 18)
     shift = 0.0 if end == 'tip' else described.length - robot.length
     places = np.clip(right.arc_lengths + shift, 0.0, described.length).tolist()
     markers = tuple(replace(m, arc_length=s) for m, s in zip(right.markers, places, strict=True))

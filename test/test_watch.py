@@ -6,9 +6,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from arms import coarse
 from marks import slow
 from source_tree import ROOT
-from watched_arm import NOISE, ROBOT, alarm_of, alarms, averaged, coarse, looked, postures
+from watched_arm import NOISE, ROBOT, alarm_of, alarms, averaged, looked, postures
 
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.data import default_markers

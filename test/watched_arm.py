@@ -1,22 +1,11 @@
 """An arm as it is watched: postures of it, and what a tracker sees of a plant in them."""
 
-from dataclasses import replace
-
 import numpy as np
-from simulated import with_cells
+from arms import coarse
 
 from tendon_robot_ros.data import default_markers
 from tendon_robot_ros.monitoring.watch import DriftAlarm
-from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.workspace.postures import default_postures
-
-
-def coarse(name, cells=None):
-    """Return a shipped robot of so many cells per section (half of them), as long and as soft."""
-    robot = load_robot(name)
-    sections = (with_cells(section, cells or section.cells // 2) for section in robot.sections)
-    return replace(robot, sections=tuple(sections))
-
 
 ROBOT = coarse('spatial_3')
 NOISE = 2e-4
