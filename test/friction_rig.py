@@ -120,9 +120,9 @@ class AsBuilt:
         return self.plant.respond_to_pulls(pulls)
 
 
-def from_sides(arm, memory, wires, pull, built, seed=2):
+def from_sides(arm, memory, wires, pull, built, seed=2, count=2):
     """
-    Send the tip to two targets from three sides, by a model with and by one without the memory.
+    Send the tip to targets from three sides, by a model with and by one without the memory.
 
     Returns how far the ends of a target differ and how far they are off, lists [m] by whether the
     model remembers.
@@ -140,7 +140,7 @@ def from_sides(arm, memory, wires, pull, built, seed=2):
         rig = Rig(known, pull=pull, models=models)
         rig.arm = AsBuilt(robot, memory) if built else rig.arm
         rig.run(0.1)
-        for target in targets[:2]:
+        for target in targets[:count]:
             ends = []
             for side in sides:
                 rig.go(side)
