@@ -10,6 +10,7 @@ os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
 
 import numpy as np
 import processes
+import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from forked import Forked
@@ -307,3 +308,14 @@ def holding(space, logs, timeout=120.0, driver=(), controller=()):
         station.until_code(station.driver, 'following', 'released')
         with contextlib.closing(station):
             yield station
+
+
+def held(space):
+    """Make a fixture of a module: both nodes hold an arm in a namespace, with a station."""
+
+    @pytest.fixture(scope='module')
+    def running(tmp_path_factory):
+        with holding(space, tmp_path_factory.mktemp('logs')) as station:
+            yield station
+
+    return running

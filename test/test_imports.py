@@ -6,6 +6,7 @@ from collections import defaultdict
 from graphlib import CycleError, TopologicalSorter
 
 import processes
+import pytest
 from source_tree import files, parse
 
 PACKAGE = 'tendon_robot_ros'
@@ -140,11 +141,21 @@ def light_modules():
             yield name_of(path)
 
 
-def test_drivers_data_and_the_command_line_load_neither_compiler_nor_ros():
+LIGHT = {  # what is imported, and what must not come with it
+    'the package': (['tendon_robot_ros'], 'numpy numba scipy yaml'),
+    # who is on this computer is stopped before the middleware is loaded
+    'the command stop': (['tendon_robot_ros.ros.commands.stop'], 'rclpy numpy yaml'),
+    'drivers, data and the command line': ([*light_modules()], 'llvmlite numba rclpy'),
+}
+
+
+@pytest.mark.parametrize('what', LIGHT)
+def test_what_has_to_be_quick_loads_nothing_heavy(what):
+    modules, heavy = LIGHT[what]
     code = (
         'import importlib, sys\n'
-        'for name in sys.argv[1:]: importlib.import_module(name)\n'
-        'print(sorted({"llvmlite", "numba", "rclpy"} & set(sys.modules)))'
+        'for name in sys.argv[2:]: importlib.import_module(name)\n'
+        'print([name for name in sys.argv[1].split() if name in sys.modules])'
     )
-    run = processes.run([sys.executable, '-c', code, *light_modules()])
+    run = processes.run([sys.executable, '-c', code, heavy, *modules])
     assert run.stdout.strip() == '[]', run.stdout + run.stderr

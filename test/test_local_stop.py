@@ -2,9 +2,7 @@
 
 import os
 import socket
-import sys
 
-import processes
 import pytest
 
 from tendon_robot_ros.common.errors import TendonRobotError
@@ -76,13 +74,3 @@ def test_only_when_all_have_stopped_all_is_well(found, said):
     else:
         with pytest.raises(TendonRobotError, match=said):
             verdict(found, '/', 7)
-
-
-def test_the_first_word_needs_no_ros():
-    """Who is on this computer is stopped before the middleware is loaded."""
-    code = (
-        'import sys, tendon_robot_ros.ros.commands.stop; '
-        'print([m for m in ("rclpy", "numpy", "yaml") if m in sys.modules])'
-    )
-    said = processes.run([sys.executable, '-c', code])
-    assert said.stdout.strip() == '[]', said.stderr

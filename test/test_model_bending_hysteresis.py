@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from tendon_robot_ros.model.derivatives import path_near
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.model.pulls import pull_shapes
 from tendon_robot_ros.report.comparison import comparison_page
-from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.measurements import simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
@@ -102,32 +100,6 @@ def test_derivatives_along_a_path_are_those_of_differences(robot, by_pulls):
     moved += [('backbone_stiffness', 'relative_change', 1e-4), ('tip_load', 'force_y', 1e-6)]
     for error, size in misses(model, moved, lambda: path(commanded), solved):
         assert error < 1e-3 * size + 1e-9
-
-
-@pytest.mark.parametrize(('name', 'lag'), [('kato_10_1', 0.02), ('spatial_3', 0.01)])
-def test_a_target_is_reached_from_any_side(name, lag):
-    """As near as wires hold it, where an inverse without memory ends elsewhere each time."""
-    robot = load_robot(name)
-    arm = Model(robot.with_effect('bending_hysteresis', {'lag': lag, 'presliding': RATIO}))
-    forgets, size = Model(robot), 0.8 if name == 'kato_10_1' else 0.3 * robot.tension_limits[1]
-    low, random = np.full(len(robot.inputs), 0.1), np.random.default_rng(2)
-    target = forgets.shape(low + size * random.uniform(0.0, 0.6, len(low))).tip_position
-    spread = {}
-    for model, by_pulls in product((arm, forgets), (False, True)):
-        tips = []
-        for side in size * random.uniform(0.0, 1.0, (3, len(low))):
-            start = arm.follow(arm.shape(low), low + side)
-            past = start if model is arm else model.shape(start.inputs)
-            memory = start.memory if model is arm else None
-            reach = model.reach(target, guess=past, memory=memory, by_pulls=by_pulls)
-            if by_pulls:
-                end = arm.pull_shape(reach.pulls, reach.shape, start.memory)
-            else:
-                end = arm.follow(start, reach.tensions)
-            tips.append(end.tip_position)
-        spread[model is arm, by_pulls] = np.ptp(tips, axis=0).max()
-    for by_pulls in (False, True):
-        assert 3.0 * spread[True, by_pulls] < spread[False, by_pulls]
 
 
 @pytest.mark.parametrize('robot', [two_sections(4), COARSE], ids=['planar', 'spatial'])

@@ -32,15 +32,6 @@ def test_an_unknown_name_is_refused():
         _ = tendon_robot_ros.lode_robot
 
 
-def test_importing_the_package_loads_nothing_heavy():
-    code = (
-        'import sys, tendon_robot_ros\n'
-        'print([name for name in ("numpy", "numba", "scipy", "yaml") if name in sys.modules])'
-    )
-    run = processes.run([sys.executable, '-c', code])
-    assert run.stdout.strip() == '[]'
-
-
 def test_a_robot_and_its_shapes_say_what_they_are():
     robot = load_robot(ROBOTS / 'kato_10_1.yaml')
     assert repr(robot).startswith(

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
-from ros_station import BASE, HIGH, LOW, holding, last, point, values
+from ros_station import BASE, HIGH, LOW, held, last, point, values
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -23,10 +23,7 @@ SPACE = '/bad_input'
 LONG = 'name: x\n' + 'sections: [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]\n' * 25_000
 
 
-@pytest.fixture(scope='module')
-def running(tmp_path_factory):
-    with holding(SPACE, tmp_path_factory.mktemp('logs')) as station:
-        yield station
+running = held(SPACE)
 
 
 @pytest.fixture

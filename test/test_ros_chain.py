@@ -11,7 +11,7 @@ pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros_station import BASE, HIGH, LOW, Station, holding, last, point, values
+from ros_station import BASE, HIGH, LOW, Station, held, last, point, values
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from visualization_msgs.msg import MarkerArray
@@ -22,10 +22,7 @@ pytestmark = pytest.mark.ros
 SPACE = '/chain'
 
 
-@pytest.fixture(scope='module')
-def running(tmp_path_factory):
-    with holding(SPACE, tmp_path_factory.mktemp('logs')) as station:
-        yield station
+running = held(SPACE)
 
 
 @pytest.fixture

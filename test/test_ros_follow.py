@@ -11,7 +11,7 @@ pytest.importorskip('rclpy')
 from documents import environment
 from forked import Forked
 from plain import plain_numbers
-from ros_station import INPUTS, holding, last, values
+from ros_station import INPUTS, held, last, values
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 pytestmark = [pytest.mark.ros, pytest.mark.long]
@@ -24,10 +24,7 @@ time,x,y,z
 """
 
 
-@pytest.fixture(scope='module')
-def station(tmp_path_factory):
-    with holding(SPACE, tmp_path_factory.mktemp('logs')) as station:
-        yield station
+station = held(SPACE)
 
 
 def command(station, folder, *arguments):

@@ -12,7 +12,7 @@ from forked import Forked
 from geometry_msgs.msg import PointStamped
 from rclpy.duration import Infinite
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from ros_station import LOW, Station, holding, last, point, start, values
+from ros_station import LOW, Station, held, last, point, start, values
 from std_msgs.msg import Bool, String
 
 from tendon_robot_ros.common.processes import child_environment
@@ -29,10 +29,7 @@ KINDS = list(
 )
 
 
-@pytest.fixture(scope='module')
-def running(tmp_path_factory):
-    with holding(SPACE, tmp_path_factory.mktemp('logs')) as station:
-        yield station
+running = held(SPACE)
 
 
 class Panels:
