@@ -18,6 +18,7 @@ from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.data import load_dataset
 from tendon_robot_ros.diagnosis.add import add_effects, restore
 from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.inference import crossval
 from tendon_robot_ros.inference.outliers import find_outliers
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.inference.statistics import rms
@@ -135,6 +136,21 @@ def test_all_that_the_file_says_otherwise_is_named(name):
     same = replace(after, sections=before.sections, tendons=before.tendons, effects=before.effects)
     rest = replace(same, fitted=before.fitted, gravity=before.gravity, source=before.source)
     assert rest == before, 'nothing else is written'
+
+
+@pytest.mark.long
+def test_an_arm_as_found_that_has_no_equilibrium_on_a_posture_left_out_is_not_written(monkeypatch):
+    dataset, _, made = diagnosed('messy_s0')
+    assert made.beside and made.check.after < made.check.before
+    squares_of = crossval.left_out_squares
+
+    def without_one(fitter, fit, beside=True, folds=()):
+        squares = squares_of(fitter, fit, beside, folds)
+        squares[0] = np.nan if beside else squares[0]
+        return squares
+
+    monkeypatch.setattr(crossval, 'left_out_squares', without_one)
+    assert not add_effects(dataset, list(made.values)).beside
 
 
 def without_outliers(dataset):

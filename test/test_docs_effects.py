@@ -43,3 +43,9 @@ def test_its_picture_is_small_and_shows_the_model_as_it_is(name):
 def test_no_picture_is_left_over():
     drawn = {path.stem for path in effects_page.PICTURES.iterdir()}
     assert drawn == set(CATALOGUE.names)
+
+
+def test_the_effect_that_extending_shows_is_the_example():
+    page = (ROOT / 'docs' / 'extending.md').read_text(encoding='utf-8')
+    example = (ROOT / 'examples' / 'soft_pulley.py').read_text(encoding='utf-8')
+    assert page.split('```py\n')[1].split('```')[0] in example

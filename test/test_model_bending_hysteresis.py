@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import COARSE, misses, planar, spatial, two_sections
+from marks import slow
 
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.diagnosis.diagnose import diagnose
@@ -102,7 +103,7 @@ def test_derivatives_along_a_path_are_those_of_differences(robot, by_pulls):
         assert error < 1e-3 * size + 1e-9
 
 
-@pytest.mark.parametrize('robot', [two_sections(4), COARSE], ids=['planar', 'spatial'])
+@pytest.mark.parametrize('robot', [two_sections(4), slow(COARSE)], ids=['planar', 'spatial'])
 @pytest.mark.long
 def test_it_is_named_where_the_arm_remembers_and_its_loops_are_drawn(robot):
     """A sequence of an arm as built: named alone, with its size."""

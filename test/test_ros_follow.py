@@ -1,4 +1,7 @@
-"""follow and go-to as a user runs them, against controller and mock driver."""
+"""follow, go-to and the example as a user runs them, against controller and mock driver."""
+
+import os
+import sys
 
 import json
 
@@ -11,7 +14,8 @@ pytest.importorskip('rclpy')
 from documents import environment
 from forked import Forked
 from plain import plain_numbers
-from ros_station import INPUTS, held, last, values
+from ros_station import INPUTS, held, holding, last, values
+from source_tree import ROOT
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 pytestmark = [pytest.mark.ros, pytest.mark.long]
@@ -201,3 +205,13 @@ def test_without_a_controller_it_says_what_to_look_for(tmp_path):
     assert process.returncode == 1
     assert 'waited 3 s in vain for ' in told
     assert 'are driver and controller running, in this namespace and ROS_DOMAIN_ID?' in told
+
+
+def test_the_example_sends_the_tip_to_a_point(tmp_path):
+    with holding('/', tmp_path):
+        run = processes.run(
+            [sys.executable, ROOT / 'examples' / 'go_to.py', '60', '170'],
+            timeout=60,
+            env=os.environ,
+        )
+    assert run.stdout == 'tip at (60.0, 0.0, 170.0) mm\n', run.stderr

@@ -1,4 +1,4 @@
-"""What a tracker may send: a topic per marker, a frame of its own, late and refused messages."""
+"""What a tracker may send: a topic per marker, late and refused messages; the loop it closes."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseArray, PoseStamped
-from ros_station import INPUTS, LATCHED, Station, last, start, values
+from ros_station import INPUTS, LATCHED, Station, holding, last, start, values
 from sensor_msgs.msg import JointState
 
 from tendon_robot_ros.model.model import Model
@@ -146,3 +146,19 @@ def test_a_shifted_tracker_is_off_by_its_shift_once(tmp_path):
     turn = last(station.tips).pose.orientation
     along = 2.0 * (turn.x * turn.z + turn.w * turn.y)  # x of the direction that +z points to
     assert along == pytest.approx(np.sin(0.05), abs=2e-3)
+
+
+def test_the_tip_of_an_arm_unlike_the_model_is_brought_to_the_target(tmp_path):
+    hidden = (
+        '{plant: {refine: 1, scatter: 0.0, hidden: {backbone_stiffness: {relative_change: 0.1}}}}'
+    )
+    nodes = {'driver': {'config': hidden}, 'controller': {'tip_gain': 2.0}}
+    with holding('/loop', tmp_path, **nodes) as station:
+        target = np.array([0.06, 0.0, 0.17])
+        station.go_to_point(0.06, 0.17)
+        station.until(lambda: np.linalg.norm(station.tip() - target) < 2e-4, 'the target')
+        assert float(values(last(station.controller))['correction (m)']) > 1e-3
+        station.until(
+            lambda: float(values(last(station.controller))['measured_error (m)']) < 2e-4,
+            'the status to say so',
+        )

@@ -13,7 +13,6 @@ from tendon_robot_ros.data import join, load_dataset
 from tendon_robot_ros.diagnosis.add import Addition, add_effects, fit_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.inference import crossval
 from tendon_robot_ros.inference.crossval import Errors
 from tendon_robot_ros.inference.fitter import Fitter
 from tendon_robot_ros.inference.noise import input_slopes
@@ -60,21 +59,6 @@ def test_a_visit_to_the_rest_is_hardly_ever_a_wild_reading(name):
 def test_every_folder_keeps_its_licence():
     for name in ('base', 'payload_100'):
         assert 'MIT License' in (TRUNK / name / 'LICENSE.txt').read_text(encoding='utf-8')
-
-
-@pytest.mark.long
-def test_an_arm_as_found_that_has_no_equilibrium_on_a_posture_left_out_is_not_written(monkeypatch):
-    found = add_effects(TRUNK / 'base', ['torsion'])
-    assert found.beside and found.check.after < found.check.before
-    squares_of = crossval.left_out_squares
-
-    def without_one(fitter, fit, beside=True, folds=()):
-        squares = squares_of(fitter, fit, beside, folds)
-        squares[0] = np.nan if beside else squares[0]
-        return squares
-
-    monkeypatch.setattr(crossval, 'left_out_squares', without_one)
-    assert not add_effects(TRUNK / 'base', ['torsion']).beside
 
 
 def test_a_fit_that_makes_others_worse_is_not_written(tmp_path, monkeypatch, capsys):
