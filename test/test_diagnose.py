@@ -105,7 +105,7 @@ def test_undeclared_setting_noise_yields_no_name(setting):
 def test_one_tendon_cannot_tell_and_the_proposed_posture_can():
     inputs = np.outer([0.3, 0.5, 0.7, 0.9, 1.1, 1.3], [1.0, 0.0])
     truths = {'hinge_friction': {'lever': 3e-4}}  # of an arm as built, 2.4e-4 would be seen
-    arm = simulated.robot()
+    arm = simulated.robot(cells=8)
     robot = replace(arm, exact=True)  # of an arm as built, a gain that is off does the same
     found = diagnose(measure(postures(robot, inputs), truths))
     assert found.verdict == 'ambiguous'

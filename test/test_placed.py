@@ -126,7 +126,7 @@ def test_a_string_that_imitates_stiff_and_soft_cells_does_not_beat_a_tip_load():
 def test_a_constant_force_within_the_arm_is_named_with_its_place(arm, built):
     """A string from far away is the same, which the verdict then says."""
     force = {'force_x': 0.5 * ARMS[arm][3], 'force_z': -0.5 * ARMS[arm][3]}
-    found = diagnose(measured(arm, {'point_load': middle(arm) | force}, BUILT[built]))
+    found = diagnose(measured(arm, {'point_load': middle(arm) | force}, BUILT[built], count=8))
     named = {found.effects[0].name, *found.cannot_tell_apart}
     assert found.verdict.may_add and 'point_load' in named <= {'point_load', 'tether'}
     told = next(row.parameters for row in found.candidates if row.name == 'point_load')
@@ -220,10 +220,8 @@ def test_what_pushes_the_arm_is_told_with_the_effects_beside_it():
 
 def test_imperfections_are_weighed_as_they_move_an_arm_that_is_held():
     """A free arm answers them in another way, and intervals of the wall would miss it."""
-    wall = dict(
-        zip(('stiffness', 'distance', 'azimuth', 'elevation'), WALLS['planar'], strict=True)
-    )
-    dataset = measured('planar', {'contact': wall})
+    wall = dict(zip(FACES, WALLS['planar'], strict=True))
+    dataset = measured('planar', {'contact': wall}, count=8)
     question = Question.of(dataset, dataset.robot, simulated.CATALOGUE)
     fits = gather(question.prepared())
     chosen = fits.judge().chosen
