@@ -9,7 +9,18 @@ import pytest
 from arms import coarse
 from marks import slow
 from source_tree import ROOT
-from watched_arm import NOISE, ROBOT, alarm_of, alarms, averaged, looked, postures
+from watched_arm import (
+    NOISE,
+    ROBOT,
+    alarm_of,
+    alarms,
+    averaged,
+    exactly,
+    looked,
+    postures,
+    tip_load,
+    untaught,
+)
 
 from tendon_robot_ros.common.errors import InputError
 from tendon_robot_ros.data import default_markers
@@ -17,7 +28,6 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.investigation.goal import Goal, InvestigationEnd
 from tendon_robot_ros.investigation.loop import Investigation
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.monitoring.built_arm import BuiltArm
 from tendon_robot_ros.monitoring.change import ChangeFinder, ChangeFit, ChangeWork, changes_of
 from tendon_robot_ros.monitoring.contact import ContactObserver, _Fit
 from tendon_robot_ros.monitoring.references import Reference, log_likelihood, widening
@@ -33,19 +43,15 @@ from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.studies.rehearse import SimulatedArm
-from tendon_robot_ros.workspace.postures import default_postures
 
 
 @pytest.mark.parametrize('sign', [1.0, -1.0])
 def test_the_force_under_which_the_model_itself_was_bent_comes_back(sign):
     force = sign * np.array([0.004, -0.002, 0.001])
-    loaded = Model(
-        ROBOT.with_effect('tip_load', dict(zip(('force_x', 'force_y', 'force_z'), force.tolist(),
-                                               strict=True))))  # fmt: skip
+    loaded = Model(replace(ROBOT, effects=ROBOT.effects | tip_load(force)))
     tensions = np.array([0.4, 0.2, 0.7])
     shape = loaded.shape(tensions)
-    exact = replace(ROBOT, exact=True)
-    arm = BuiltArm(exact, load_catalogue(), default_markers(ROBOT), 1e-5)
+    arm = untaught(replace(ROBOT, exact=True), noise=1e-5)
     found = ContactObserver(arm).update(tensions, shape.positions)
     assert found.force == pytest.approx(force, abs=2e-5)
     assert found.acts and found.exceeds(0.9 * np.linalg.norm(force))
@@ -61,8 +67,7 @@ def test_without_a_tracker_the_wire_pulls_tell_the_force():
     robot, force = load_robot('spatial_3'), np.array([0.006, 0.003, 0.0])
     loaded = Model(robot.with_effect('tip_load', {'force_x': 0.006, 'force_y': 0.003}))
     tensions = np.array([0.4, 0.2, 0.7])
-    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
-    found = ContactObserver(arm).update(tensions, None, loaded.shape(tensions).pulls)
+    found = ContactObserver(untaught(robot)).update(tensions, None, loaded.shape(tensions).pulls)
     off = found.force - force
     assert (np.abs(off) < 1.96 * np.sqrt(np.diag(found.covariance))).all()
     assert np.linalg.norm(found.force[:2] - force[:2]) < 0.002
@@ -87,8 +92,7 @@ def test_what_the_model_is_known_to_be_off_is_no_force(name, exact):
     seen = Model(robot).shape(tensions).positions
     shapes = [seen + drawn_off(robot, off, random) for _ in range(12)]
     known = replace(robot, model_error=off)
-    arm = BuiltArm(known, load_catalogue(), default_markers(robot), NOISE)
-    observer = ContactObserver(arm)
+    observer = ContactObserver(untaught(known))
     assert not any(observer.update(tensions, shape).acts for shape in shapes)
 
 
@@ -98,7 +102,7 @@ def test_of_a_shape_that_no_force_explains_the_covariance_is_one_nevertheless(na
     robot, random = replace(ARMS[name], exact=True), np.random.default_rng(8)
     tensions = np.linspace(0.4, 0.8, len(robot.inputs))
     seen = Model(robot).shape(tensions).positions
-    observer = ContactObserver(BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE))
+    observer = ContactObserver(untaught(robot))
     for _ in range(12):
         found = observer.update(tensions, seen + drawn_off(robot, 6e-3, random))
         assert np.linalg.cond(found.covariance) < 1e9
@@ -109,7 +113,7 @@ def test_of_a_shape_that_no_force_explains_the_covariance_is_one_nevertheless(na
 @pytest.mark.long
 def test_the_known_error_counts_until_references_show_its_size(name):
     robot = replace(ARMS[name], model_error=3e-3)
-    before = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
+    before = untaught(robot)
     assert before.remainder == pytest.approx(3e-3 / np.sqrt(3.0))
     after = learned_from(robot)
     assert after.remainder < 0.1 * before.remainder, 'this arm lacks nothing'
@@ -120,7 +124,7 @@ def test_an_arm_whose_tip_is_never_seen_has_its_error_at_the_last_marker_that_is
     robot, rows = replace(ROBOT, model_error=1e-3), postures(8, 7)
     seen = looked(make_plant(robot, {}), rows, 2)
     seen[:, -1] = np.nan
-    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
+    arm = untaught(robot)
     arm.fit(rows, seen)
     assert 0.0 < arm.response < 0.2
     found = ContactObserver(arm).update(rows[0], seen[0])
@@ -140,7 +144,7 @@ def test_the_error_of_a_description_comes_back_with_its_postures(name, exact):
         {effect: {'fraction': fraction}},
     )
     arm = learned_from(robot, hidden=hidden)
-    rows = np.clip(default_postures(robot, 12, 8), *robot.tension_limits)
+    rows = postures(12, 8, robot)
     plant = make_plant(robot, hidden, seed=4, work=Workmanship().times(not exact))
     _, seen = averaged(plant, rows, np.random.default_rng(3))
     without = arm.as_known(arm.mean.copy(), arm.covariance)
@@ -157,9 +161,9 @@ def test_the_error_of_a_description_comes_back_with_its_postures(name, exact):
 @pytest.mark.parametrize('name', ARMS)
 def test_half_of_what_may_be_lacking_is_a_parabola_and_what_it_leaves(name):
     robot = replace(ARMS[name], exact=True, model_error=3e-3)
-    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
+    arm = untaught(robot)
     arm.expect_lacking()
-    (tensions,) = np.clip(default_postures(robot, 1, 5), *robot.tension_limits)
+    (tensions,) = postures(1, 5, robot)
     slope, bend, left = np.split(arm.columns(tensions[None], {})[:, arm.built :].T, 3)
     k = [free.effect for free in arm.frees].index('hinge_friction')
     typical, off = arm.frees[k].parameter.typical, arm.lacked(arm.columns(tensions[None], {}))
@@ -176,7 +180,7 @@ def test_half_of_what_may_be_lacking_is_a_parabola_and_what_it_leaves(name):
 
 def test_a_slack_wire_makes_a_smooth_model_no_less_certain():
     robot = replace(coarse('kato_10_1'), effects={})
-    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
+    arm = untaught(robot)
     for slack in (0.0, 0.01):
         kinked = arm.expected(np.array([slack, 0.5, slack, slack])).columns[:, arm.built :]
         assert kinked.shape[1] == 2 * len(robot.inputs)
@@ -192,11 +196,10 @@ def test_to_know_an_error_makes_no_force_worse_than_not_to_know_it(name):
         for error in (4e-3, None)
     ]
     robot, random, off = ARMS[name], np.random.default_rng(3), []
-    rows = np.clip(default_postures(robot, 8, 5), *robot.tension_limits)
+    rows = postures(8, 5, robot)
     for tensions, angle in zip(rows, np.linspace(0.0, 5.0, len(rows)), strict=True):
         force = 2e-3 * np.array([np.cos(angle), np.sin(angle), 0.0])
-        load = dict(zip(('force_x', 'force_y', 'force_z'), force.tolist(), strict=True))
-        plant = make_plant(robot, hidden | {'tip_load': load}, seed=4, work=Workmanship())
+        plant = make_plant(robot, hidden | tip_load(force), seed=4, work=Workmanship())
         read, (seen,) = averaged(plant, tensions[None], random)
         for arm in arms:
             observer = ContactObserver(arm)
@@ -224,7 +227,7 @@ def test_a_contact_is_told_with_its_place_and_ends(name, exact, part):
     arm, robot = known_arm(name, exact), FINE[name]
     place, force = part * robot.length, {'force_x': 0.006 / part, 'force_z': 0.002}
     hidden = {'point_load': {'arc_length': place, **force}}
-    rows = np.clip(default_postures(robot, 3, 21), *robot.tension_limits)
+    rows = postures(3, 21, robot)
     work, random = Workmanship().times(not exact), np.random.default_rng(5)
     free, pushed = (
         averaged(make_plant(robot, h, seed=4, work=work), rows, random) for h in ({}, hidden)
@@ -251,7 +254,7 @@ def test_a_contact_is_told_with_its_place_and_ends(name, exact, part):
 def test_of_a_tip_alone_the_place_is_not_told_and_the_force_is_as_if_at_the_tip(name):
     arm, robot, force = known_arm(name, False), FINE[name], 0.004
     hidden = {'tip_load': {'force_x': force}}
-    (tensions,) = np.clip(default_postures(robot, 1, 23), *robot.tension_limits)
+    (tensions,) = postures(1, 23, robot)
     plant = make_plant(robot, hidden, seed=4, work=Workmanship())
     read, seen = averaged(plant, tensions[None], np.random.default_rng(5))
     seen[0, :-1] = np.nan
@@ -266,8 +269,7 @@ def test_where_the_description_has_a_load_at_a_place_a_force_is_as_if_at_the_tip
     robot = replace(ROBOT, exact=True).with_effect('point_load', loads)
     tensions = np.array([0.4, 0.2, 0.7])
     seen = Model(robot.with_effect('tip_load', {'force_x': 0.004})).shape(tensions).positions
-    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
-    told = ContactObserver(arm).update(tensions, seen)
+    told = ContactObserver(untaught(robot)).update(tensions, seen)
     assert told.force == pytest.approx([0.004, 0.0, 0.0], abs=2e-4)
     assert (told.place, told.interval) == (robot.length, (0.0, robot.length))
 
@@ -276,8 +278,7 @@ def test_a_place_that_was_tried_and_is_no_better_leaves_nothing_behind(monkeypat
     robot, tensions = ROBOT, np.array([0.4, 0.2, 0.7])
     touch = {'arc_length': 0.5 * robot.length, 'force_x': 0.03}
     seen = Model(robot.with_effect('point_load', touch)).shape(tensions).positions
-    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
-    fit = _Fit(ContactObserver(arm), tensions[None], seen.ravel(), True, 1)
+    fit = _Fit(ContactObserver(untaught(robot)), tensions[None], seen.ravel(), True, 1)
     best = fit._at(np.zeros(3), robot.length)
     factor, tried = fit.factor, []
     monkeypatch.setattr(_Fit, '_cost', lambda self, one: tried.append(self.factor) or 0.0)
@@ -330,9 +331,9 @@ def test_an_arm_that_stays_as_it_is_raises_no_alarm(learned, watch):
 def test_an_exact_arm_whose_load_cells_are_noisy_raises_no_alarm_and_a_gain_is_named(name):
     robot, random = replace(ARMS[name], exact=True), np.random.default_rng(2)
     plant = make_plant(robot, {}, seed=4, work=Workmanship().times(0.0))
-    rows = np.clip(default_postures(robot, 48, 7), *robot.tension_limits)
+    rows = postures(48, 7, robot)
     read, seen = averaged(plant, rows, random)
-    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
+    arm = untaught(robot)
     arm.fit(read[:20], seen[:20], 30)
     assert not arm.mean.any() and not arm.covariance.any(), 'it is as described'
     alarm = DriftAlarm(arm)
@@ -346,8 +347,8 @@ def learned_from(robot, wrong=(), hidden=None):
     """Return an arm as it is built, learned from 24 postures; some are off by so much [m]."""
     work, random = Workmanship().times(not robot.exact), np.random.default_rng(2)
     free = make_plant(robot, hidden or {}, seed=4, work=work)
-    rows = np.clip(default_postures(robot, 24, 7), *robot.tension_limits)
-    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
+    rows = postures(24, 7, robot)
+    arm = untaught(robot)
     read, seen = averaged(free, rows, random)
     for number, off in wrong:
         seen[number] += off
@@ -415,7 +416,7 @@ def test_a_large_load_is_told_with_its_size_and_not_taken_for_a_tilted_base():
     """It bends the arm by a quarter of its length: far beyond its tangent."""
     force = 0.012
     loaded = Model(ROBOT.with_effect('tip_load', {'force_x': force}))
-    arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE, 0.3)
+    arm = untaught(ROBOT, 0.3)
     finder, random = ChangeFinder(arm, changes_of(arm)), np.random.default_rng(5)
     for tensions in postures(3, 3):
         seen = loaded.shape(tensions).positions
@@ -432,12 +433,12 @@ def test_a_load_that_the_arm_bends_over_for_is_found_from_another_start(monkeypa
     """From no load at all the fit ends in a minimum that is none of it."""
     robot = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')
     random, free = np.random.default_rng(33), make_plant(robot, {}, seed=33, work=Workmanship())
-    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
-    rows = np.clip(default_postures(robot, 24, 1033), *robot.tension_limits)
+    arm = untaught(robot)
+    rows = postures(24, 1033, robot)
     arm.fit(*averaged(free, rows, random), 30)
     hidden = {'tip_load': {'force_x': 0.011, 'force_z': 0.0168}}
     loaded = make_plant(robot, hidden, seed=33, work=Workmanship())
-    rows = np.clip(default_postures(robot, 20, 2033), *robot.tension_limits)[:2]
+    rows = postures(20, 2033, robot)[:2]
     finder = ChangeFinder(arm, changes_of(arm))
     for tensions, positions in zip(*averaged(loaded, rows, random), strict=True):
         finder.take(tensions, positions, 30)
@@ -451,7 +452,7 @@ def test_a_load_that_the_arm_bends_over_for_is_found_from_another_start(monkeypa
 
 def test_a_tracker_that_was_moved_far_is_named_with_its_size_and_is_no_effect():
     """Its frame turns by a rotation, not by its tangent: by that `base_misalignment` was it."""
-    arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE, 0.3)
+    arm = untaught(ROBOT, 0.3)
     finder = ChangeFinder(arm, changes_of(arm))
     moved = {'rotation_y': np.radians(10.0), 'shift_x': 0.02}
     plant, rows = make_plant(ROBOT, {'base_misalignment': moved}, scatter=0.0), postures(3, 3)
@@ -466,7 +467,7 @@ def test_a_tracker_that_was_moved_far_is_named_with_its_size_and_is_no_effect():
 
 def test_the_posture_that_separates_two_changes_is_not_the_one_in_which_they_look_alike():
     """A stiffness that is off shows nothing of a straight arm; of one change nothing is asked."""
-    arm = BuiltArm(replace(ROBOT, exact=True), load_catalogue(), default_markers(ROBOT), NOISE)
+    arm = untaught(replace(ROBOT, exact=True))
     finder = ChangeFinder(arm, changes_of(arm))
     named = {change.name: change for change in finder.changes}
     softer = ChangeFit(named['backbone_stiffness'], np.array([-0.05]), 0.0, 1e9 * np.eye(1))
@@ -515,7 +516,7 @@ def test_a_force_along_a_straight_arm_is_told_only_as_far_as_it_shows():
     robot = load_robot('spatial_3')
     tensions, force = np.full(3, robot.tension_limits[0]), 0.006
     loaded = Model(robot.with_effect('tip_load', {'force_x': force, 'force_z': -force}))
-    arm = BuiltArm(replace(robot, exact=True), load_catalogue(), default_markers(robot), NOISE)
+    arm = untaught(replace(robot, exact=True))
     exact = loaded.shape(tensions).positions
     random, spreads = np.random.default_rng(8), []
     for frames in (1, 25):
@@ -532,15 +533,12 @@ def test_a_force_along_a_straight_arm_is_told_only_as_far_as_it_shows():
 def test_what_a_model_does_wrong_of_a_loaded_arm_is_in_the_covariance():
     """Finer cells bend a little otherwise under a load: without noise that is all that is off."""
     robot = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')
-    markers = default_markers(robot)
-    arm = BuiltArm(robot, load_catalogue(), markers, NOISE, 0.01)
-    rows = np.clip(default_postures(robot, 4, 3), *robot.tension_limits)
-    arcs, offsets = (np.array([getattr(m, k) for m in markers]) for k in ('arc_length', 'offset'))
+    arm = untaught(robot, 0.01)
+    rows = postures(4, 3, robot)
     off = []
     for force in np.array([[0.004, 0.0, 0.0], [0.0, 0.004, 0.0], [0.003, 0.0, -0.003]]):
-        axes = dict(zip(('force_x', 'force_y', 'force_z'), force.tolist(), strict=True))
-        plant = make_plant(robot, {'tip_load': axes}, scatter=0.0)
-        for tensions, seen in zip(rows, plant.markers(rows, arcs, offsets), strict=True):
+        plant = make_plant(robot, tip_load(force), scatter=0.0)
+        for tensions, seen in zip(rows, exactly(plant, rows), strict=True):
             observer = ContactObserver(arm)
             observer.update(tensions, seen, None, 100)
             found = observer.update(tensions, seen, None, 100)

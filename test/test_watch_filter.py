@@ -4,17 +4,13 @@ import numpy as np
 import pytest
 from marks import slow
 from source_tree import ROOT
-from watched_arm import NOISE, ROBOT, alarm_of, alarms, averaged, postures
+from watched_arm import ROBOT, alarm_of, alarms, averaged, postures, untaught
 
-from tendon_robot_ros.data import default_markers
-from tendon_robot_ros.effects import load_catalogue
-from tendon_robot_ros.monitoring.built_arm import BuiltArm
 from tendon_robot_ros.monitoring.references import Reference, contradicted
 from tendon_robot_ros.monitoring.watch import DriftAlarm
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.plant import make_plant
-from tendon_robot_ros.workspace.postures import default_postures
 
 
 def references(random, count=30, sizes=1.0):
@@ -50,7 +46,7 @@ def test_where_a_model_is_wrong_here_and_there_no_reference_is_misread():
 def well_known():
     """Return an arm as it is built, learned from the mean of thirty frames, tensions as read."""
     random, free = np.random.default_rng(3), make_plant(ROBOT, {}, seed=12, work=Workmanship())
-    arm = BuiltArm(ROBOT, load_catalogue(), default_markers(ROBOT), NOISE)
+    arm = untaught(ROBOT)
     arm.fit(*averaged(free, postures(60, 1012), random), 30)
     return arm, free, random
 
@@ -73,8 +69,8 @@ def test_where_an_arm_hardly_bends_and_kinks_turn_its_friction_over_nothing_is_t
     """Both tendons of a section pull nearly alike: the markers may be 1 mm off the tangent."""
     robot = load_robot(ROOT / 'config' / 'robots' / 'kato_10_1.yaml')
     random, free = np.random.default_rng(3), make_plant(robot, {}, seed=3, work=Workmanship())
-    arm = BuiltArm(robot, load_catalogue(), default_markers(robot), NOISE)
-    rows = np.clip(default_postures(robot, 60, 1003), *robot.tension_limits)
+    arm = untaught(robot)
+    rows = postures(60, 1003, robot)
     arm.fit(*averaged(free, rows, random), 30)
     alarm, turning = DriftAlarm(arm, 21600.0), np.array([[0.318, 0.422, 0.402, 0.299]])
     (read,), (seen,) = averaged(free, turning, random)
