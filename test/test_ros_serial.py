@@ -11,6 +11,7 @@ pytest.importorskip('serial')
 
 import dynamixel_rig
 from dynamixel_rig import ROBOT
+from marks import slow
 from ros_station import LOW, last, point, start, values
 
 pytestmark = [pytest.mark.ros, needs_compiler]
@@ -26,7 +27,7 @@ class Rig(dynamixel_rig.Rig):
         return np.array(self.servos.ask('state')['tensions'])
 
 
-@pytest.fixture(scope='module', params=['tension', pytest.param('pull', marks=pytest.mark.slow)])
+@pytest.fixture(scope='module', params=['tension', slow('pull')])
 def running(request, tmp_path_factory):
     with contextlib.closing(Rig(request.param, tmp_path_factory.mktemp('logs'))) as rig:
         rig.run()
@@ -63,9 +64,7 @@ FAULTS = {
 QUICK = ('unplugged', 'overheating')
 
 
-@pytest.mark.parametrize(
-    'name', [pytest.param(n, marks=[pytest.mark.slow] * (n not in QUICK)) for n in FAULTS]
-)
+@pytest.mark.parametrize('name', [name if name in QUICK else slow(name) for name in FAULTS])
 def test_a_fault_is_said_releases_the_arm_and_is_recovered_from(rig, name):
     broken, mended, words, latched = FAULTS[name]
     station = rig.station

@@ -9,6 +9,7 @@ import processes
 import pytest
 from emulated import arrive, codes, healthy, until
 from emulated_board import needs_compiler
+from marks import slow
 
 from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers.hardware import Spool
@@ -37,8 +38,7 @@ def watched_arm(request):
     yield from arm_in(getattr(request, 'param', 'tension'), command_timeout=0.2)
 
 
-SLOW_PULL = pytest.param('pull', marks=pytest.mark.slow)
-both_modes = pytest.mark.parametrize('watched_arm', ['tension', SLOW_PULL], indirect=True)
+both_modes = pytest.mark.parametrize('watched_arm', ['tension', slow('pull')], indirect=True)
 
 
 def enabled(line):
@@ -67,9 +67,7 @@ def test_a_silent_board_is_said_it_releases_by_itself_and_goes_on(watched_arm):
     until(driver, command, healthy)
 
 
-@pytest.mark.parametrize(
-    'what', ['spoilt', *(pytest.param(w, marks=pytest.mark.slow) for w in ('cut', 'doubled'))]
-)
+@pytest.mark.parametrize('what', ['spoilt', slow('cut'), slow('doubled')])
 def test_a_few_broken_frames_change_nothing(arm, what):
     driver, line, command = arm
     before = driver.read()
