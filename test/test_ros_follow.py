@@ -1,9 +1,8 @@
 """follow, go-to and the example as a user runs them, against controller and mock driver."""
 
+import json
 import os
 import sys
-
-import json
 
 import numpy as np
 import processes
