@@ -100,7 +100,6 @@ class Slopes:
     gradient: Floats  # (K,)
     information: Floats  # (K, K) expected of the gradient, priors of the variances included
     curvature: Floats  # (K, K) second derivative where it is, with these residuals
-    slower: Floats  # (K,) variances by a slow step that never raises the deviance
 
 
 class Likelihood:
@@ -181,11 +180,11 @@ class Likelihood:
 
     def slopes(self, v: Floats) -> Slopes:
         """
-        Return gradient, curvature and a step that always descends, the parameters optimal.
+        Return gradient and curvature, the parameters optimal.
 
         With P the projection of V^-1 beside the parameters: `rise` tr(X'V^-1 X), restricted
         tr(X'P X), `observed` |X'P r|² of each kind, and its slopes u'X'P X u (Johnson and Thompson
-        1995). The step is minorise-maximise of variance components: slow, but always a descent.
+        1995).
         """
         at, kinds = self._reduced(v), self.kinds
         half = at.factor @ at.own
@@ -218,11 +217,8 @@ class Likelihood:
         steady, pull, bend = self._prior_slopes(v)
         push = pull / np.maximum(v, 1e-300)
         proper = np.diag((push + bend / np.maximum(v, 1e-300)) / np.maximum(v, 1e-300))
-        rise = np.maximum(rise + steady, 1e-300)
-        apart = np.sqrt(pull**2 + 4.0 * rise * v**2 * observed)
-        slower = (pull + apart) / (2.0 * rise)
-        gradient = rise - push - observed
-        return Slopes(gradient, information + proper, 2.0 * turned - information + proper, slower)
+        gradient = rise + steady - push - observed
+        return Slopes(gradient, information + proper, 2.0 * turned - information + proper)
 
     def _prior_slopes(self, v: Floats) -> tuple[Floats, Floats, Floats]:
         """Return slopes (K,) of the prior: steady by v; minus by log v, and how that bends."""
@@ -544,15 +540,11 @@ class RandomEffects:
         if self.remainder is not None and shows > 0.0:  # it may be zero: a variance that shows
             offset[self.remainder] = 1.0 / shows  # is added before the logarithm
         for _ in range(STEPS_MAX):
-            slopes_at = work.slopes(v)
-            step, promised = _step(v - low, high - v, v + offset, slopes_at)
+            step, promised = _step(v - low, high - v, v + offset, work.slopes(v))
             if promised < DEVIANCE_GAIN_MIN:
                 break
-            shorter = [
-                (v + offset) * np.exp(fraction * step) - offset for fraction in STEP_LENGTHS
-            ]
-            for moved in (*shorter, slopes_at.slower):
-                new = np.clip(moved, low, high)
+            for fraction in STEP_LENGTHS:
+                new = np.clip((v + offset) * np.exp(fraction * step) - offset, low, high)
                 deviance = work.deviance(new)
                 if deviance < cost:
                     break
