@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from marks import slow
-from scipy.optimize import brentq
+from scipy.stats import chi2
 from simulated import CATALOGUE
 from source_tree import ROOT
 
@@ -20,7 +20,7 @@ from tendon_robot_ros.inference.marginal import (
     RandomEffects,
 )
 from tendon_robot_ros.inference.session import Question
-from tendon_robot_ros.inference.statistics import chi2_isf, chi2_sf
+from tendon_robot_ros.inference.statistics import chi2_isf
 from tendon_robot_ros.report.sentences import as_built
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
@@ -150,8 +150,11 @@ def test_intervals_hold_as_often_as_they_say(members):
 
 
 def test_a_size_that_nothing_tells_is_as_plausible_as_before():
-    """Closed form: the error of what acts like one member is normal, its sd log-normal."""
-    half = brentq(lambda x: normal_mean(lambda z: chi2_sf((x * 2.0**-z) ** 2, 1)) - 0.05, 1.0, 9.0)
+    """The error of what acts like one member is normal, its sd log-normal up to the largest."""
+    z = np.linspace(*np.log([NEGLIGIBLE, SIZE_MAX]) / np.log(PLAUSIBLE_FACTOR), 2001)
+    ends = np.geomspace(1.0, 9.0, 400)
+    chances = chi2.sf((ends[:, None] * PLAUSIBLE_FACTOR**-z) ** 2, 1)
+    half = np.interp(-0.05, -np.average(chances, axis=1, weights=np.exp(-0.5 * z**2)), ends)
     for beside in (0.0, 0.01):  # a gain of one input of 1 %, and a hole of 1 %: 1.4 %
         kind = Kind('channel_gain', '1', 0.01, ('only',), beside)
         random = RandomEffects(1e6 * np.eye(2)[:, :1], np.zeros(1, int), [kind])
@@ -173,12 +176,6 @@ def test_an_interval_is_that_of_all_sizes_that_an_imperfection_may_have(times):
     z = np.log(s / 0.03) / np.log(PLAUSIBLE_FACTOR)
     density = s**-5.0 * np.exp(-0.5 * (z**2 + np.var(members) * 6 / s**2))
     assert told == pytest.approx(np.average(s**2, weights=density) / 6, rel=0.1)
-
-
-def normal_mean(function):
-    """Return the mean of a function of a standard normal deviate."""
-    nodes, weights = np.polynomial.hermite_e.hermegauss(40)
-    return sum(w * function(z) for z, w in zip(nodes, weights, strict=True)) / np.sqrt(2.0 * np.pi)
 
 
 def test_noise_alone_is_told_by_many_deviations():
