@@ -178,7 +178,7 @@ def test_peaks_of_the_curve_are_cut_and_that_is_said():
     state = ViewState(curve=errors, verdict={'noise_floor': 6e-4})  # moves: a tenth
     drawn = page_parts.curve(state, 100.0)
     assert 'peaks up to 44 are cut off' in drawn and '>10</text>' not in drawn
-    assert 'now 4 mm' in drawn
+    assert 'now 4.0 mm' in drawn
     state = ViewState(curve=[(t, 0.004) for t in times])
     assert 'cut off' not in page_parts.curve(state, 100.0)
 
