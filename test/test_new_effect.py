@@ -10,8 +10,6 @@ import simulated
 from source_tree import ROOT
 
 from tendon_robot_ros import effects
-from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.data import save_dataset
 from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import catalogue as effects_catalogue
@@ -19,7 +17,6 @@ from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.report.diagnosis_page import diagnosis_page
 from tendon_robot_ros.report.diagnosis_text import lines
-from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Built, Damage, plant_catalogue
 from tendon_robot_ros.simulation.plant import make_plant, parts_per_cell, real_robot
 
@@ -109,18 +106,3 @@ def test_the_page_of_effects_gets_its_row_and_its_section(catalogue, monkeypatch
 def test_a_name_that_is_there_already_is_refused(catalogue):
     with pytest.raises(effects_catalogue.EffectError, match='soft_pulley: the name is taken'):
         effects_catalogue.Catalogue([*catalogue, replace(catalogue[NAME], title='again')])
-
-
-@pytest.mark.slow
-def test_an_effect_of_the_users_own_is_named_and_added(tmp_path, capsys, monkeypatch):
-    """From a file of the user, by what is typed."""
-    monkeypatch.chdir(tmp_path)
-    shutil.copy(ROOT / 'examples' / 'soft_pulley.py', tmp_path)
-    mine = load_catalogue(['soft_pulley.py'])
-    save_dataset(simulated.measured(simulated.robot(), LOSS, count=12, catalogue=mine), 'data')
-    assert main(['diagnose', 'data', '--effect-file', 'soft_pulley.py', '--add', 'new.yaml']) == 0
-    assert 'Missing: a pulley that gives way, loss 0.0' in capsys.readouterr().out
-    assert np.isclose(load_robot('new.yaml').effects[NAME]['loss'], 0.06, rtol=0.1)
-    assert main(['diagnose', 'data', '--robot', 'new.yaml']) == 1
-    assert "effects: unknown effect 'soft_pulley'" in capsys.readouterr().err
-    assert main(['effect', 'add', 'soft_pulley', '--data', 'data', '--output', 'b.yaml']) == 1
