@@ -76,9 +76,16 @@ def test_beside_a_load_a_stiffer_arm_is_one_that_is_pulled_less(robot):
     assert {'backbone_stiffness', 'transmission_loss'} <= set(found.cannot_tell_apart)
     (other,) = set(names(found)) - {'tip_load'}
     assert f'{other} cannot be told apart from: ' in found.text()
-    status = {row.name: row.status for row in found.candidates}
+    rows = {row.name: row for row in found.candidates}
+    load = next(effect for effect in found.effects if effect.name == 'tip_load')
+    told = load.parameters['force_x']
+    assert told.low <= hidden['tip_load']['force_x'] <= told.high
     for name in set(found.cannot_tell_apart) - {other}:
-        assert status[f'tip_load + {name}'] == 'cannot be told apart'
+        alternative = rows[f'tip_load + {name}']
+        assert alternative.status == 'cannot be told apart'
+        force, size = alternative.parameters['tip_load.force_x'], alternative.load.size
+        assert told.low <= force.value <= told.high  # the load, whichever it is
+        assert load.load.size.low <= size.value <= load.load.size.high
 
 
 def test_without_the_true_effect_the_catalogue_has_no_answer(monkeypatch):

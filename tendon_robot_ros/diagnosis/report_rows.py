@@ -187,7 +187,11 @@ def fitted_errors(session: Session, fit: Fit | None) -> FittedErrors:
 
 
 def finding(fits: Fits, decision: Concluded, errors: FittedErrors) -> list[EffectFinding]:
-    """Return the chosen effects, with the fraction that they explain together."""
+    """
+    Return the chosen effects, with the fraction that they explain together.
+
+    Where another effect may stand for one of several, the intervals of the rest hold for both.
+    """
     ranked, session = decision.chosen, fits.session
     if ranked is None:
         return []
@@ -195,6 +199,11 @@ def finding(fits: Fits, decision: Concluded, errors: FittedErrors) -> list[Effec
     values = values_with_intervals(session.fitter, fit, decision.scale)
     explained = errors.explained(errors.after)
     loads = loads_of(fit, session.predictor, decision.scale)
+    for other in (fits.reported(one) for one in decision.alike if one is not ranked):
+        others, forces = values_of(other), loads_of(other, session.predictor)
+        for name in values.keys() & others.keys():
+            values[name] = {k: own.over(others[name][k]) for k, own in values[name].items()}
+        loads |= {name: loads[name].over(forces[name]) for name in loads.keys() & forces.keys()}
     present = session.robot.effects
     return [
         EffectFinding(name, values[name], explained, name in present, loads.get(name))
