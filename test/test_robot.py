@@ -1,6 +1,7 @@
 """Robot descriptions: what is read, what is refused and how, and the way back to YAML."""
 
 import dataclasses
+import json
 import re
 from functools import reduce
 from operator import getitem
@@ -51,6 +52,13 @@ def test_a_description_becomes_a_frozen_robot_in_si():
     assert robot.effects['section_stiffness'] == {'relative_change': (0.1, -0.2)}
     with pytest.raises(dataclasses.FrozenInstanceError):
         robot.name = 'other'
+
+
+def test_a_description_may_be_one_line_of_json():
+    described = dump_robot(load_robot('spatial_3'))
+    for separators in ((',', ':'), (', ', ': ')):
+        text = json.dumps(yaml.safe_load(described), separators=separators)
+        assert dump_robot(load_robot(text)) == described
 
 
 def test_effects_and_gravity_may_be_left_out():

@@ -56,7 +56,8 @@ def named_file(text: str, folder: str = '') -> Path | None:
 
     It names one by its path, or by its name where it is shipped in a folder of config/.
     """
-    if not text.strip() or '\n' in text or ': ' in text or len(text) > PATH_MAX:
+    is_yaml = text.lstrip().startswith(('{', '[')) or ': ' in text or '\n' in text
+    if is_yaml or not text.strip() or len(text) > PATH_MAX:
         return None
     path = Path(text)
     shipped = None if path.is_file() else shared_file(f'config/{folder}/{text}.yaml')

@@ -202,8 +202,9 @@ def finding(fits: Fits, decision: Concluded, errors: FittedErrors) -> list[Effec
     for other in (fits.reported(one) for one in decision.alike if one is not ranked):
         others, forces = values_of(other), loads_of(other, session.predictor)
         for name in values.keys() & others.keys():
-            values[name] = {k: own.over(others[name][k]) for k, own in values[name].items()}
-        loads |= {name: loads[name].over(forces[name]) for name in loads.keys() & forces.keys()}
+            values[name] = {k: own.spanning(others[name][k]) for k, own in values[name].items()}
+        both = loads.keys() & forces.keys()
+        loads |= {name: loads[name].spanning(forces[name]) for name in both}
     present = session.robot.effects
     return [
         EffectFinding(name, values[name], explained, name in present, loads.get(name))

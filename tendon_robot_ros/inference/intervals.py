@@ -42,7 +42,7 @@ class Value:
     unit: str
     note: str = ''  # 'at its bound', 'not determined by these postures', 'correlated with ...'
 
-    def over(self, other: Value) -> Value:
+    def spanning(self, other: Value) -> Value:
         """Return the value with an interval that holds that of another one, too."""
         return replace(self, low=min(self.low, other.low), high=max(self.high, other.high))
 
@@ -74,14 +74,14 @@ class LoadVector:
     around_axis: float
     from_gravity: Value | None = None
 
-    def over(self, other: LoadVector) -> LoadVector:
+    def spanning(self, other: LoadVector) -> LoadVector:
         """Return the load with intervals that hold those of another one, too."""
 
         def both(own: Value | None, more: Value | None) -> Value | None:
-            return own.over(more) if own and more else own
+            return own.spanning(more) if own and more else own
 
         return LoadVector(
-            self.size.over(other.size),
+            self.size.spanning(other.size),
             both(self.from_axis, other.from_axis),
             self.around_axis,
             both(self.from_gravity, other.from_gravity),
