@@ -5,7 +5,7 @@ import simulated
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.select import hint, several
+from tendon_robot_ros.diagnosis.select import hint, several, swapped
 from tendon_robot_ros.inference.session import Question
 
 MEMORY = {'friction_memory': {'presliding_length': 1e-4}}
@@ -32,6 +32,20 @@ def test_memory_of_friction_beside_another_effect_is_named():
     found = diagnose(measured(robot, hidden, seed=3, count=10, path='sequence'))
     assert found.verdict == 'several'
     assert {effect.name for effect in found.effects} == set(hidden)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize('name', ['kato_10_1_single', 'spatial_3'])
+def test_what_stands_for_one_of_several_does_not_do_what_another_of_them_does(name):
+    robot = simulated.robot(name, exact=True)
+    hidden = {'tip_load': {'force_x': 0.006}, 'backbone_stiffness': {'relative_change': 0.12}}
+    session = Question.of(measured(robot, hidden, count=12), robot, CATALOGUE).weigh()
+    single = {one.names[0]: one for one in session.candidates}
+    load, stiffer = (single[name] for name in hidden)  # and one too many
+    (best,) = session.fit_all([load.with_(single['tension_offset']).with_(stiffer)])
+    names = [set(other.names) for other in swapped(session, best)]
+    assert {'tip_load', 'tension_offset', 'transmission_loss'} in names
+    assert not any({'backbone_stiffness', 'transmission_loss'} <= own for own in names)
 
 
 @pytest.mark.long

@@ -371,7 +371,15 @@ def several(session: Session, singles: Sequence[Ranked]) -> tuple[Session, list[
 
 
 def swapped(session: Session, best: Ranked) -> list[Ranked]:
-    """Fit several effects with another one in place of each, as far as these may do as well."""
+    """
+    Fit several effects with another one in place of each, as far as these may do as well.
+
+    Where more parameters stay undetermined than before, two of the effects do the same.
+    """
+
+    def undetermined(ranked: Ranked) -> int:
+        return len(ranked.fit.frees) - ranked.fit.rank
+
     point, larger = best.fit.point, list[Candidate]()
     others = [c for c in session.tested(session.candidates, point) if c.names[0] not in best.names]
     for name in best.names:
@@ -386,7 +394,11 @@ def swapped(session: Session, best: Ranked) -> list[Ranked]:
     }
     starts[best.candidate.label] = best.fit
     fits = session.fit_all([best.candidate, *larger], starts, 'other effects')
-    near = [r for r in fits if r.score <= best.score + APART_FROM_SCORE]
+    near = [
+        r
+        for r in fits
+        if r.score <= best.score + APART_FROM_SCORE and undetermined(r) <= undetermined(best)
+    ]
     wider = containing(session, near)
     return [r for r in near if r.names != best.names and r not in wider]
 
