@@ -41,6 +41,7 @@ def damaged(draw):
 @example(('dataset', b'gravity: 2000-99-99'))
 @example(('dataset', b'robot: ' + b'9' * 300 + b'.yaml'))
 @example(('dataset', b'? {a: b}\n: c'))
+@example(('robot', b'sections: [{n\n\n bending, cells: 3}]'))
 @example(('shapes', b'posture,trial,marker,x,y,z\n' + b'0,' * 100_000))
 @example(('shapes', b'posture,trial,marker,x,y,z\n"' + b'0' * 200_000 + b'"'))
 def test_a_damaged_file_is_read_or_refused_in_one_line(file):

@@ -125,7 +125,8 @@ class Reader:
         """Refuse unknown keys."""
         for key in self.content:
             if key not in known:
-                raise self.error(str(key), 'one of ' + ', '.join(known), str(key))
+                words = ' '.join(str(key).split())  # a key may have lines
+                raise self.error(words, 'one of ' + ', '.join(known), str(key))
 
     def child(self, key: str) -> Self:
         """Open the mapping below a key, empty when absent."""
