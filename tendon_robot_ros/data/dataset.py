@@ -92,6 +92,7 @@ class EarlierRecording:
     error: float  # [m] rms at the tip of what the arm deviated there
     doubt: Floats  # (P,) [m] rms at the tip of what it leaves open for each posture
     noise: Floats  # (P,) [m] 1 sd per coordinate of the tracker in what is taken off
+    spread: Mapping[str, Floats]  # kind -> `Fit.spread` (members, r) of imperfections found there
     lacked: tuple[str, ...] = ()  # effects that it shows, added to the description
 
 

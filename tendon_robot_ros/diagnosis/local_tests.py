@@ -122,7 +122,7 @@ def is_absurd(fault: LocalFault) -> bool:
 def faults_of(session: Session, fit: Fit) -> list[dict[str, Any]]:
     """Return the local faults of a fit in a session that was weighed there, as plain data."""
     own: Imperfections | None = session.imperfections
-    if session.robot.exact or not fit.members:  # any may be off, or have changed
+    if session.robot.exact or session.dataset.reference:  # any may be off, or have changed
         own = imperfections(BuiltPredictor(session.predictor), fit.point, changed=True)
     if own is None:
         return []

@@ -20,6 +20,7 @@ from ..inference.crossval import (
     written,
 )
 from ..inference.fit import Fit
+from ..inference.imperfections import EARLIER
 from ..inference.intervals import SizeIntervals, loads_of, values_of, values_with_intervals
 from ..inference.marginal import Prior
 from ..inference.outliers import Outliers
@@ -130,6 +131,8 @@ def arm_report(session: Session, fit: Fit) -> dict[str, Any] | None:
     informative = (usual_high < SPAN_MAX * usual_low) & ((lows > 0.0) | np.isfinite(highs))
     members, kinds = fit.members, []
     for k, kind in enumerate(built.kinds[:-1]):  # without the remainder
+        if kind.name == EARLIER:
+            continue
         own = len(fit.all_frees) + np.flatnonzero(built.random.owners == k)
         mix = built.random.mixtures[k]  # the data show no other directions
         known = ((mix @ fit.covariance[np.ix_(own, own)]) * mix).sum(axis=1)

@@ -18,8 +18,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
-from ..common.arrays import Floats
+from ..common.arrays import RESOLUTION, Floats
 from ..common.errors import DataSetError
 from ..data import DataSet, DataSetLike, load_dataset
 from ..data.dataset import EarlierRecording
@@ -93,7 +94,8 @@ def since(
         old.select(old.postures[p] for p in whole), described, load_catalogue(catalogue)
     )
     session = question.prepared()
-    found = described_by(session, session.base_fit(), beside=True)
+    fit = session.base_fit()
+    found = described_by(session, fit, beside=True)
     settled = session.dataset
     # a sequence has postures on its way of which not all markers, or none, were read
     seen = np.flatnonzero((settled.counts > 0).all(axis=1))
@@ -110,7 +112,9 @@ def since(
         new,
         robot=found,
         positions=new.positions - taken[:, None],
-        reference=EarlierRecording(old.name, deviations.size, doubt, noise, tuple(lacked)),
+        reference=EarlierRecording(
+            old.name, deviations.error, doubt, noise, fit.spread, tuple(lacked)
+        ),
     )
 
 
@@ -120,8 +124,10 @@ class _DeviationProcess:
 
     Attributes
     ----------
+    error : float
+        Rms at the tip [m], as measured.
     size : float
-        Rms at the tip [m].
+        The same without noise.
     length : float
         Distance of inputs [N] or [m] over which deviations are alike.
 
@@ -147,23 +153,34 @@ class _DeviationProcess:
 
         """
         self.inputs, self.off, self.driven, self.tracker = inputs, off, driven, tracker
+        last = np.argmax(heights)
+        mean2 = float((off[:, last] ** 2).sum(axis=1).mean() / heights[last]) + RESOLUTION**2
+        self.error = float(np.sqrt(mean2))
         values, shapes = np.linalg.eigh(np.minimum.outer(heights, heights))
-        kept = values > NEGLIGIBLE * values.max()
-        along = shapes[:, kept] / np.sqrt(values[kept])
-        white = np.einsum('pjc,jk->pkc', off, along).reshape(len(off), -1)
-        noise = driven + 3.0 * tracker / heights.mean()
-        self.ratio = noise / max(3.0 * float((white**2).mean()), 1e-30) + NEGLIGIBLE
+        values, shapes = (one[..., values > NEGLIGIBLE * values.max()] for one in (values, shapes))
+        parts = np.einsum('pjc,jk->kpc', off, shapes)
+        # of inputs it grows along the arm as the deviations do, of the tracker it does not
+        noise = values * (driven.mean() / 3.0 + NEGLIGIBLE * mean2) + tracker.mean()
         apart, lengths, best = self._apart(inputs), [1.0], np.inf
         apart = apart[apart > 0.0]
         if apart.size:  # from a length by which all inputs differ to one by which all are alike
             low, high = 0.3 * np.sqrt(apart.min()), 3.0 * np.sqrt(apart.max())
             lengths = np.geomspace(low, high, LENGTHS).tolist()
         for length in lengths:
-            root = np.linalg.cholesky(self._alike(inputs, length) + np.diag(self.ratio))
-            variance = max(float((np.linalg.solve(root, white) ** 2).mean()), 1e-30)
-            logs = 2.0 * float(np.log(np.diag(root)).sum()) + len(off) * np.log(variance)
-            if logs < best:
-                best, self.length, self.size = logs, length, float(np.sqrt(3.0 * variance))
+            alike, modes = np.linalg.eigh(self._alike(inputs, length))
+            scales = np.outer(values, np.maximum(alike, 0.0)) / 3.0
+            power = ((modes.T @ parts) ** 2).sum(axis=2)
+
+            def deviance(size2: float, scales: Floats = scales, power: Floats = power) -> float:
+                variance = size2 * scales + noise[:, None]
+                return float((3.0 * np.log(variance) + power / variance).sum())
+
+            ends = NEGLIGIBLE * mean2, mean2  # no larger than what was measured
+            found = minimize_scalar(deviance, bounds=ends, method='bounded')
+            if found.fun < best:
+                best, self.length, size2 = found.fun, length, float(found.x)
+        self.size = float(np.sqrt(size2))
+        self.ratio = (driven + 3.0 * tracker / heights.mean()) / size2 + NEGLIGIBLE
 
     def _apart(self, inputs: Floats) -> Floats:
         """Return the squared distances (n, P) of inputs (n, m) to those of the reference."""

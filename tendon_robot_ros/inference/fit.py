@@ -111,6 +111,18 @@ class Fit:
         """Most likely imperfections by kind [unit], without the remainder."""
         return self.built.random.named(self.values[len(self.all_frees) :], self.built.sizes)
 
+    @property
+    def spread(self) -> dict[str, Floats]:
+        """
+        Return how well the imperfections are known: kind -> (members, r) [unit].
+
+        A root of their covariance: they are the likeliest ones plus it times r unit normals.
+        """
+        random, first = self.built.random, len(self.all_frees)
+        own = slice(first, first + len(random.others))
+        values, vectors = np.linalg.eigh(self.covariance[own, own])
+        return random.named(vectors * np.sqrt(np.maximum(values, 0.0)), self.built.sizes)
+
     def started_from(self, around: Members, sizes: Floats) -> Fit:
         """Return the fit as a start of another one, from other imperfections."""
         return replace(self, built=replace(self.built, around=around, sizes=sizes))

@@ -24,8 +24,9 @@ from .predict import CELLS, Conditions, Point, Predictor, SettledShapes
 
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
+EARLIER = 'earlier'  # what an earlier recording leaves open of all kinds, in unit normals
 REMAINDER = 'remainder'  # error without a cause, independent in every posture
-KINDS_WITH_FEW_MEMBERS = (GAIN, HOLE, ZERO, POSITION, ROTATION)  # kinds with few members
+KINDS_WITH_FEW_MEMBERS = (GAIN, HOLE, ZERO, POSITION, ROTATION, EARLIER)  # or of known size
 REMAINDER_SHAPES = 4  # [1] along the arm, because the others have a twentieth of the variance
 # Kind -> (unit, plausible sd where none is declared, step of its derivative)
 PLAUSIBLE_SIZES: dict[str, tuple[str, float, float]] = {
@@ -131,6 +132,14 @@ class BuiltPredictor(Predictor):
         layout, effect = self.model.arrays.layout, self.model.catalogue[REST]
         self.rests = [layout.rows[REST, parameter.name] for parameter in effect.parameters]
 
+    @property
+    def members(self) -> Members:
+        """The imperfections `around`, those of an earlier recording by their kinds."""
+        own, reference = self.around.get(EARLIER), self.dataset.reference
+        if own is None or reference is None:
+            return self.around
+        return {name: root @ own for name, root in reference.spread.items()}
+
     def kinds(self, every: bool = True) -> tuple[Kind, ...]:
         """
         Return the kinds of imperfections; a declared registration is a parameter of the fit.
@@ -165,7 +174,7 @@ class BuiltPredictor(Predictor):
 
     def set_parameters(self, point: Point, part: Conditions) -> None:
         """Set the parameters and imperfections; see `Predictor.set_parameters`."""
-        off, arrays, axis = self.around, self.model.arrays, self.axis
+        off, arrays, axis = self.members, self.model.arrays, self.axis
         super().set_parameters(point, part)
         arrays.cells[:, 1] *= 1.0 + off.get(CELLS, 0.0)
         arrays.offset[:] = self._offsets * (1.0 + off.get(HOLE, np.zeros(1))[None, :, None])
@@ -202,12 +211,12 @@ class BuiltPredictor(Predictor):
 
     def given(self, inputs: Floats) -> Floats:
         """Return the inputs (P, m) [N] or [m] that reach the arm."""
-        off = self.around
+        off = self.members
         return np.asarray(inputs * (1.0 + off.get(GAIN, 0.0)) + off.get(ZERO, 0.0))
 
     def see(self, shapes: ShapeBatch) -> Floats:
         """Return the markers (b, J, 3) [m] in the frame of the tracker, with its imperfections."""
-        placed, off = super().see(shapes), self.around
+        placed, off = super().see(shapes), self.members
         if ROTATION in off:
             x, y, z = off[ROTATION].tolist()
             across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # p @ it: turn x p
@@ -225,15 +234,19 @@ def imperfections(
     """
     Return the kinds and slopes of imperfections at a point, linearised around given ones (`at`).
 
-    Of two recordings of an arm both have the same ones, which cancel; what remains is how far its
-    deviations themselves have changed, which may be as much as they are. With `changed`,
-    imperfections may be new. An arm that is no `BuiltPredictor` is exact: it has none of any kind.
+    Of two recordings of an arm both have the same ones, which cancel but for what the earlier one
+    leaves open: it decides how the arm answers a change. Beside it remains how far its deviations
+    themselves have changed, which may be as much as they are. With `changed`, imperfections may be
+    new. An arm that is no `BuiltPredictor` is exact: it has none of any kind.
     None where the model has no equilibrium, which is looked for from `near`.
     """
     if not isinstance(arm, BuiltPredictor):
         return Imperfections.none(arm.dataset)
     reference = arm.dataset.reference
-    kinds, arm.around = arm.kinds(changed) if reference is None or changed else (), at or {}
+    kinds, arm.around = arm.kinds(changed), at or {}
+    if reference is not None and not changed:
+        count = max((root.shape[1] for root in reference.spread.values()), default=0)
+        kinds = (Kind(EARLIER, '1', 1.0, tuple(map(str, range(count)))),) if count else ()
     if arm.markers(point, near=near) is None:
         return None
     moves = member_moves(arm, point, kinds)
@@ -249,6 +262,14 @@ def member_moves(arm: BuiltPredictor, point: Point, kinds: Sequence[Kind]) -> Fl
 
     At the postures that were predicted last, linearised around the imperfections set.
     """
+    reference = arm.dataset.reference
+    if reference is not None and EARLIER in (kind.name for kind in kinds):
+        around, own = arm.around, [kind for kind in arm.kinds() if kind.name in reference.spread]
+        arm.around = arm.members
+        each = member_moves(arm, point, own)
+        arm.around = around
+        root = np.concatenate([reference.spread[kind.name] for kind in own])
+        return np.asarray(np.tensordot(root.T, each, 1))
     named = [(kind.name, i, len(kind)) for kind in kinds for i in range(len(kind))]
     if not named:
         return np.empty((0, len(arm.inputs), len(arm.dataset.markers), 3))

@@ -19,7 +19,7 @@ from scipy.linalg.lapack import dpotrf, dtrtri
 
 from ..common.arrays import Floats, Ints
 from ..common.estimation import STEP_LENGTHS
-from .imperfections import KINDS_WITH_FEW_MEMBERS, REMAINDER, Imperfections, Kind, Members
+from .imperfections import EARLIER, KINDS_WITH_FEW_MEMBERS, REMAINDER, Imperfections, Kind, Members
 from .noise import Whitener
 from .statistics import normal_cdf
 
@@ -335,6 +335,7 @@ class RandomEffects:
         self.columns = np.hstack([columns[:, :0], *mixed])
         self.owners = np.repeat(np.arange(len(kinds)), [mix.shape[1] for mix in self.mixtures])
         self.few = np.array([kind.name in KINDS_WITH_FEW_MEMBERS for kind in kinds], dtype=bool)
+        self.known = np.array([kind.name == EARLIER for kind in kinds], dtype=bool)
         is_last = bool(kinds) and kinds[-1].name == REMAINDER
         self.remainder = len(kinds) - 1 if is_last else None  # which of the kinds it is
         self.others = self.owners[self.owners < len(kinds) - is_last]  # of its columns: the first
@@ -373,10 +374,11 @@ class RandomEffects:
         return self.together if prior is Prior.LOGARITHMS else self.plausible
 
     def named(self, units: Floats, sizes: Floats) -> dict[str, Floats]:
-        """Return the members by kind, without the remainder, from mixtures (r,) in units of sd."""
-        values = units * sizes[self.owners]
+        """Return members by kind, without the remainder, from mixtures (r, ...) in units of sd."""
+        owners = self.owners[: len(units)]  # those of the remainder, the last, may be missing
+        values = (units.T * sizes[owners]).T
         return {
-            kind.name: self.mixtures[k] @ values[self.owners == k]
+            kind.name: self.mixtures[k] @ values[owners == k]
             for k, kind in enumerate(self.kinds)
             if kind.name != REMAINDER
         }
@@ -416,7 +418,7 @@ class RandomEffects:
         """Return the least and largest variances (K,) under a prior."""
         around = self.around(prior)
         usual = np.where(np.isfinite(around), around, 0.0)
-        fixed = self.few & (prior is Prior.SIZES)
+        fixed = self.few if prior is Prior.SIZES else self.known
         low = np.where(fixed, usual, NEGLIGIBLE * usual)
         return low**2, np.where(fixed, usual, SIZE_MAX * around) ** 2
 
@@ -432,7 +434,7 @@ class RandomEffects:
         """
         work, v = Likelihood(self, residual, slopes, weights, Prior.LOGARITHMS), sizes**2
         low, high = self._bounds(Prior.LOGARITHMS)
-        free = np.flatnonzero(np.isfinite(self.plausible) & (sizes > 0.0))
+        free = np.flatnonzero(np.isfinite(self.plausible) & (sizes > 0.0) & ~self.known)
         here, own = work.slopes(v), v[free]
         bend = here.curvature[np.ix_(free, free)] * np.outer(own, own)
         values, vectors = np.linalg.eigh(bend + np.diag(own * here.gradient[free]))
