@@ -66,13 +66,14 @@ UNITS = {  # unit -> powers of length and force
     '1/m': (-1, 0),
     'kg/m': (-1, 1),
 }
-DIRECTED = (  # effects with directions, and the stems of their components
-    ('pre_curvature', 'angle'),
-    ('tip_load', 'force', 'moment'),
-    ('point_load', 'force', 'moment'),
-    ('tether', 'point'),
-)
 CATALOGUE = load_catalogue()
+VECTORS = [  # effects with directions, and the stems of their components
+    (effect.name, p.name.removesuffix('_x'))
+    for effect in CATALOGUE
+    if effect.stage != 'measurement'  # the tracker's frame is not the robot's
+    for p in effect.parameters
+    if p.name.endswith('_x')
+]
 THREE = load_robot(ROOT / 'config/robots/spatial_3.yaml')
 
 
@@ -183,8 +184,8 @@ def turned(robot, angle):
         assert effects['point_load'].get('follows', 0.0) == 0.0
     if 'contact' in effects:
         effects['contact']['azimuth'] += angle
-    for name, *stems in DIRECTED:
-        for stem in stems if name in effects else ():
+    for name, stem in VECTORS:
+        if name in effects:
             x, y = (effects[name].get(f'{stem}_{axis}', 0.0) for axis in 'xy')
             effects[name][f'{stem}_x'], effects[name][f'{stem}_y'] = turn(x, y)
     gravity = robot.gravity and (*turn(*robot.gravity[:2]), robot.gravity[2])
