@@ -63,6 +63,7 @@ def test_a_plain_table_is_read(tmp_path):
     'text',
     [
         '# a note\n# another\n' + PLAIN,
+        'System,2\nunits,mm\nrate,50\n\n' + PLAIN,
         PLAIN.replace(',', ';').replace('0.5', '0,5').replace('1.5', '1,5'),
         PLAIN.replace(',', '\t'),
         PLAIN.replace('\n', '\r\n'),

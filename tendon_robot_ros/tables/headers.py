@@ -106,7 +106,7 @@ def first_row_of_data(rows: Sequence[Row]) -> int | None:
 
     heads = [is_head(row) for row in rows]
     first = next((i for i in range(len(rows)) if not any(heads[i : i + AHEAD])), None)
-    has_words_only = first == 0 and 0 not in numeric  # each with its value
+    has_words_only = 0 not in numeric and (first == 0 or numeric == {1})  # each with its value
     return None if has_words_only else first
 
 
