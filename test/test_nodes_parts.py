@@ -497,6 +497,17 @@ def test_an_impossible_mock_arm_is_refused(plant, words):
         driver_backend.make(load_robot('kato_10_1'), given, None)
 
 
+@pytest.mark.parametrize('plant', [{'twin': True}, {'refine': 1}], ids=lambda p: '-'.join(p))
+def test_a_mock_arm_has_effects_of_the_users_own(tmp_path, plant):
+    file = tmp_path / 'own.py'
+    file.write_text(OWN_EFFECT)
+    robot = load_robot('kato_10_1').with_effect('own', {'change': 0.1})
+    config = str({'plant': plant | {'catalogue': [str(file)]}})
+    given = {'backend': 'mock', 'config': config, 'command_mode': 'tension'}
+    driver, _ = driver_backend.make(robot, given, None)
+    assert 'own' in driver.plant.model.robot.effects
+
+
 def test_a_configuration_comes_from_a_name_or_text():
     assert read_config('mock_twin')['plant'] == {'twin': True}
     assert read_config('{lag: 0.1}') == {'lag': 0.1}

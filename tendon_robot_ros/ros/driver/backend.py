@@ -135,7 +135,7 @@ def _plant(robot: Robot, mode: str, config: ConfigFields) -> Any:
     from ...simulation.plant import Plant, make_plant
 
     if twin:  # an arm that equals the model, with its memory (`make demo`)
-        return Plant(robot, Model(robot), 1, Damage(robot, 0))
+        return Plant(robot, Model(robot, config.content.get('catalogue')), 1, Damage(robot, 0))
     return make_plant(robot, **{key: config.content[key] for key in PLANT_KEYS if config.has(key)})
 
 
