@@ -1,12 +1,20 @@
 """Stages as a table, and what stands in an effect's own file: the rest of the code reads both."""
 
 from dataclasses import replace
+from importlib.metadata import EntryPoint
 
 import pytest
 from source_tree import ROOT
 
 from tendon_robot_ros.common.errors import EffectError
-from tendon_robot_ros.effects import STAGES, Catalogue, Effect, Parameter, load_catalogue
+from tendon_robot_ros.effects import (
+    STAGES,
+    Catalogue,
+    Effect,
+    Parameter,
+    catalogue,
+    load_catalogue,
+)
 from tendon_robot_ros.model.compile import kernel_key, stages_source
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Built, Damage
@@ -137,3 +145,57 @@ def test_values_per_section_or_tendon_are_refused_where_the_stage_has_none():
 def test_an_effect_that_needs_something_unknown_is_refused():
     with pytest.raises(EffectError, match=r"softening: needs: expected one of gravity, .*'luck'"):
         replace(SOFTENING, needs='luck')
+
+
+def misspelt(moment, total_tension, loss):
+    return moment * (1.0 - los * total_tension)  # noqa: F821
+
+
+def nothing(moment, total_tension, loss):
+    moment * (1.0 - loss * total_tension)
+
+
+def a_factor(moment, total_tension, loss):
+    return moment * loss
+
+
+def one_number(force, moment, friction, place, frame, along, before, behind, moved, loss):
+    return force[0], moment, friction
+
+
+@pytest.mark.parametrize(
+    ('law', 'said'),
+    [
+        (misspelt, "its law cannot be called: NameError: name 'los' is not defined"),
+        (nothing, 'its law gives back None, expected moment'),
+        (a_factor, 'changes something where all parameters are neutral: loss = 0'),
+    ],
+)
+def test_a_law_that_cannot_be_right_is_refused_before_it_is_compiled(law, said):
+    with pytest.raises(EffectError, match=f'softening: .*{said}'):
+        replace(SOFTENING, law=law)
+
+
+def test_a_law_gives_back_vectors_where_its_stage_does():
+    words = r'expected force \(3 numbers\), moment \(3 numbers\), friction \(3 numbers\)'
+    with pytest.raises(EffectError, match=words):
+        replace(SOFTENING, stage='push', law=one_number)
+
+
+@pytest.mark.parametrize(
+    ('value', 'said'),
+    [
+        ('no_such_module:EFFECT', "ModuleNotFoundError: No module named 'no_such_module'"),
+        ('math:EFFECT', 'AttributeError: '),
+        ('math', r'math: expected EFFECT = Effect\(...\), got <module'),
+    ],
+)
+def test_an_installed_effect_that_cannot_be_loaded_is_named_in_one_line(monkeypatch, value, said):
+    point = EntryPoint('mine', value, catalogue.ENTRY_POINT_GROUP)
+    monkeypatch.setattr(catalogue, 'entry_points', lambda group: [point])
+    catalogue._installed.cache_clear()
+    try:
+        with pytest.raises(EffectError, match=said):
+            load_catalogue()
+    finally:
+        catalogue._installed.cache_clear()

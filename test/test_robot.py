@@ -184,7 +184,7 @@ def test_an_unknown_effect_is_answered_with_the_known_ones():
     assert message.startswith(
         "arm.yaml: effects: unknown effect 'humidity'; known: tendon_friction"
     )
-    assert 'base_misalignment' in message and message.endswith('(name your own by its file)')
+    assert 'base_misalignment' in message and '(name the file of your own: ' in message
 
 
 @pytest.mark.parametrize(

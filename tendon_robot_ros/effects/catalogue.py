@@ -8,6 +8,7 @@ import importlib.machinery
 import importlib.util
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -79,7 +80,8 @@ class Catalogue:
         if name not in self._effects:
             raise EffectError(
                 f'unknown effect {name!r}; known: {", ".join(self.names)} '
-                f'({suggestion(name, self.names)}name your own by its file)'
+                f'({suggestion(name, self.names)}name the file of your own: --effect-file, '
+                'parameter effects of a node, key catalogue of the plant of a mock arm)'
             )
         return self._effects[name]
 
@@ -153,7 +155,11 @@ def load_catalogue(files: CatalogueLike | None = None) -> Catalogue:
 def _installed() -> tuple[Effect, ...]:
     """Return the effects of installed packages; read once, as modules are."""
     points = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)
-    return tuple(_checked(point.load(), point.value) for point in points)
+    found = []
+    for point in points:
+        with _in_one_line(f'entry point {ENTRY_POINT_GROUP}: {point.value}'):
+            found.append(_checked(point.load(), point.value))
+    return tuple(found)
 
 
 def registered(name: str, digest: str) -> Effect:
@@ -165,6 +171,17 @@ def _checked(effect: object, where: str) -> Effect:
     if not isinstance(effect, Effect):
         raise EffectError(f'{where}: expected EFFECT = Effect(...), got {effect!r}')
     return effect
+
+
+@contextmanager
+def _in_one_line(where: str) -> Iterator[None]:
+    """Make one line of whatever the user's code raises while it is read."""
+    try:
+        yield
+    except EffectError:
+        raise
+    except Exception as error:
+        raise EffectError(f'{where}: {type(error).__name__}: {error}') from None
 
 
 def _from_file(path: Path) -> Effect:
@@ -182,10 +199,9 @@ def _from_file(path: Path) -> Effect:
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module
         try:
-            loader.exec_module(module)
-        except BaseException as error:  # whatever the user's file raises becomes one line
+            with _in_one_line(str(path)):
+                loader.exec_module(module)
+        except BaseException:
             del sys.modules[name]
-            if isinstance(error, Exception) and not isinstance(error, EffectError):
-                raise EffectError(f'{path}: {type(error).__name__}: {error}') from None
             raise
     return _checked(getattr(sys.modules[name], 'EFFECT', None), str(path))

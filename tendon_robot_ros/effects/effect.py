@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 from string import Formatter
 from typing import Any
 
+import numpy as np
+
 from ..common.errors import EffectError
 from .stage import STAGES
 
@@ -211,8 +213,9 @@ class Effect:
         Raises
         ------
         EffectError
-            Unknown stage, wrong number of arguments, bounds that exclude the neutral value, or
-            values of sections or tendons where its stage has none.
+            Unknown stage, wrong number of arguments, bounds that exclude the neutral value, values
+            of sections or tendons where its stage has none, or a law that fails, gives back
+            something else, or changes something at the neutral values.
 
         """
         for problem in self._problems():
@@ -252,6 +255,39 @@ class Effect:
                     f'{parameter.name}: expected one value{more} at the stage {self.stage}, '
                     f'got one per {parameter.per}'
                 )
+        yield from self._trial()
+
+    def _trial(self) -> Iterator[str]:
+        """Yield what the law does wrong where it is called once, before it is compiled."""
+        stage = STAGES[self.stage]
+        given = [quantity.example for quantity in stage.inputs]
+        before, several = given[: len(stage.outputs)], len(stage.outputs) > 1
+        try:
+            off, _ = (
+                self.law(*given, *(getattr(p, at) for p in self.parameters))
+                for at in ('neutral', 'typical')
+            )
+        except Exception as error:  # whatever the law raises
+            yield f'its law cannot be called: {type(error).__name__}: {error}'
+            return
+        after = list(off) if several and isinstance(off, tuple) else [off]
+        if [np.shape(one) for one in after] != [np.shape(one) for one in before] or None in after:
+            wanted = ', '.join(
+                f'{q.name} ({q.count} numbers)' if q.count > 1 else q.name for q in stage.outputs
+            )
+            yield f'its law gives back {off}, expected {wanted}'
+        elif not (self.always_on or self.holds_a_state) and any(
+            not np.allclose(*pair) for pair in zip(after, before, strict=True)
+        ):
+            yield (
+                'its law changes something where all parameters are neutral: '
+                f'{", ".join(f"{p.name} = {p.neutral:g}" for p in self.parameters)}'
+            )
+
+    @property
+    def holds_a_state(self) -> bool:
+        """Whether its law takes what it gave back in the posture before."""
+        return 'history' in self.needs or any(p.remembers for p in self.parameters)
 
     @property
     def values_of(self) -> str:

@@ -10,15 +10,22 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A scalar that a law takes or gives."""
+    """What a law takes or gives: a number, or a tuple of so many."""
 
     name: str
+    count: int
     unit: str
     meaning: str
+
+    @property
+    def example(self) -> Any:
+        """Some value, for a law that is tried: within what a sine, a share or a scale may be."""
+        return (0.5,) * self.count if self.count > 1 else 0.5
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,8 @@ class Stage:
 
 # In the order in which a cell meets them: a stage, and the quantities of its laws, each with unit
 # and meaning. `>`: a law gives it back, and first takes it as it is without the law; `-`: a law
-# only takes it; `*` behind a stage: the laws use the shape itself; in a quantity: x, y and z.
+# only takes it; `*` behind a stage: the laws use the shape itself; in a quantity: x, y and z;
+# `(3)`: a tuple of three numbers.
 TABLE = """
 actuation
   > tension [N] tension that enters the first cell
@@ -85,15 +93,15 @@ tip_load *
   > force_* [N] force along *, base frame
   > moment_* [N·m] moment about *, base frame
 push *
-  > force [N] force on the end of a cell (x, y, z), base frame
-  > moment [N·m] moment there (x, y, z), base frame
-  > friction [N] part of the force along a surface (x, y, z); before: that of the posture before
-  - place [m] where the cell ends (x, y, z), base frame
-  - frame [1] its axes as columns (xx, xy, ... zz), base frame
+  > force(3) [N] force on the end of a cell (x, y, z), base frame
+  > moment(3) [N·m] moment there (x, y, z), base frame
+  > friction(3) [N] part of the force along a surface (x, y, z); before: that of the posture before
+  - place(3) [m] where the cell ends (x, y, z), base frame
+  - frame(9) [1] its axes as columns (xx, xy, ... zz), base frame
   - along [m] arc length from the base to there, at rest
   - before [m] length of the cell that ends there
   - behind [m] length of the next cell; infinite at the tip
-  - moved [m] how far the end has moved since the posture before (x, y, z)
+  - moved(3) [m] how far the end has moved since the posture before (x, y, z)
 moment
   > moment [N·m] size of the bending moment
   - total_tension [N] sum of the tensions in the cell
@@ -148,9 +156,10 @@ def _stages() -> Iterator[Stage]:
         each = (
             line.replace('*', axis) for line in lines for axis in ('xyz' if '*' in line else '*')
         )
-        rows = [re.fullmatch(r'([>-]) (\w+) \[(.+?)\] (.+)', line) for line in each]
+        pattern = re.compile(r'([>-]) (\w+)(?:\((\d)\))? \[(.+?)\] (.+)')
+        rows = [row for line in each if (row := pattern.fullmatch(line))]
         given, taken = (
-            tuple(Quantity(*row.groups()[1:]) for row in rows if row and row[1] == mark)
+            tuple(Quantity(r[2], int(r[3] or 1), r[4], r[5]) for r in rows if r[1] == mark)
             for mark in '>-'
         )
         yield Stage(head.removesuffix(' *'), given, taken, head.endswith('*'))
