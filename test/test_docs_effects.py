@@ -20,6 +20,15 @@ def test_every_effect_has_a_section_in_catalogue_order():
     assert tuple(re.findall(r'^## (\w+)$', TEXT, re.M)) == CATALOGUE.names == tuple(SIZES)
 
 
+@pytest.mark.parametrize('name', [CATALOGUE.names[0], 'contact', CATALOGUE.names[-1]])
+def test_the_section_of_a_new_effect_is_begun_at_its_place(name):
+    before, after = TEXT.split(f'## {name}\n')
+    _, *behind = after.split('\n## ')
+    begun = effects_page.with_all(before + ''.join(f'## {one}' for one in behind))
+    order = tuple(re.findall(r'^## (\w+)$', begun, re.M))
+    assert order == CATALOGUE.names and effects_page.with_all(begun) == begun
+
+
 @pytest.mark.parametrize('name', CATALOGUE.names)
 def test_a_section_says_what_happens_and_how_to_tell_it_apart(name):
     section = TEXT.split(f'\n## {name}\n')[1].split('\n## ')[0]

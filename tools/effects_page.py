@@ -9,6 +9,7 @@ the reference of the effects of what is here. test/test_docs_effects.py holds pa
 
 import inspect
 import json
+import re
 import sys
 
 import numpy as np
@@ -52,12 +53,17 @@ def main():
     PICTURES.mkdir(exist_ok=True)
     for effect in CATALOGUE:
         draw(effect.name)
-    text = PAGE.read_text(encoding='utf-8')
-    for effect in CATALOGUE:
-        if f'\n## {effect.name}\n' not in text:
-            text = f'{text.rstrip()}\n\n{begun(effect)}'
-    PAGE.write_text(text, encoding='utf-8')
+    PAGE.write_text(with_all(PAGE.read_text(encoding='utf-8')), encoding='utf-8')
     return 0
+
+
+def with_all(text):
+    """Return the page with a section of every effect, in the order of the catalogue."""
+    first, *sections = re.split(r'^(?=## )', text, flags=re.M)
+    sections += [begun(e) for e in CATALOGUE if f'\n## {e.name}\n' not in text]
+    place = {f'## {name}': i for i, name in enumerate(CATALOGUE.names)}
+    sections.sort(key=lambda section: place.get(section.split('\n')[0], len(place)))
+    return '\n\n'.join(part.strip() for part in (first, *sections)) + '\n'
 
 
 def reference():
