@@ -178,6 +178,15 @@ def test_an_interval_is_that_of_all_sizes_that_an_imperfection_may_have(times):
     assert told == pytest.approx(np.average(s**2, weights=density) / 6, rel=0.1)
 
 
+def test_sizes_at_all_their_bounds_leave_an_interval():
+    """Of an arm that nothing describes: no other sizes than the largest are drawn then."""
+    kinds = [Kind(f'kind {i}', '1', 0.01, ('only',)) for i in range(12)]
+    random = RandomEffects(1e3 * np.eye(12), np.arange(12), kinds)
+    residual, slope = np.full(12, 1e4), np.ones(12)
+    fit = told_fit(random, residual * np.linspace(-1.0, 1.0, 12), slope)
+    assert 0.0 < fit.interval_covariance[0, 0] < np.inf
+
+
 def test_noise_alone_is_told_by_many_deviations():
     random, _, residuals = scattered(6, 0.02, 1)
     base = random.estimate(residuals[0], np.zeros((12, 0)))

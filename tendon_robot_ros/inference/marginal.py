@@ -445,7 +445,7 @@ class RandomEffects:
         chances = np.random.default_rng(0).permuted(strata, axis=1).T
         draws = UNIT_LOGISTIC * np.log(chances / (1.0 - chances))  # its tails are long
         logs = -np.log(chances * (1.0 - chances)).sum(axis=1)
-        best, _ = work.parameters(v)
+        best, at_best = work.parameters(v)
         shifts, covariances = [], []
         for i, draw in enumerate(draws):
             tried = v.copy()
@@ -455,6 +455,8 @@ class RandomEffects:
             there, covariance = work.parameters(tried)
             shifts.append(there - best)
             covariances.append(covariance)
+        if not np.isfinite(logs).any():  # all beyond the bounds: the likeliest sizes alone
+            return Mixture(np.ones(1), np.zeros((1, len(best))), at_best[None])
         weights = np.exp(logs - logs.max())
         return Mixture(weights / weights.sum(), np.array(shifts), np.array(covariances))
 
