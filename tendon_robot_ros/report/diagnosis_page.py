@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -32,9 +33,17 @@ GROUPS = {
     'left out': 'postures left out in turn',
     'check': 'postures never used',
 }
-CANDIDATE_HEAD = [
-    *('effect', 'explains', 'error left', 'left-out postures', 'chance', 'status', 'value')
-]
+# the columns of a table of candidates; the live page shows the first two and the last two
+CANDIDATE_COLUMNS: dict[str, Callable[[CandidateRow], str]] = {
+    'effect': lambda row: f'{row.name} (another value)' if row.present else row.name,
+    'explains': lambda row: '–' if row.status == NOT_NEEDED else percent(row.explained),
+    'error left': lambda row: mm(row.error),
+    'left-out postures': lambda row: mm(row.held_out),
+    'chance': lambda row: probability(row.probability).removeprefix('p ').removeprefix('= '),
+    'status': lambda row: row.status,
+    'value': lambda row: quantities(row.parameters, row.load),
+}
+CANDIDATE_HEAD = list(CANDIDATE_COLUMNS)
 
 
 # measurements against the description before and, where something is to add, after; the moments
@@ -197,7 +206,8 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
         kinds = [{'best': 'strong', 'rejected': 'faint'}.get(one.status, '') for one in candidates]
         with_arm = diagnosis_text.with_arm(diagnosis)
         with_what = 'the effect and the arm as it was found' if with_arm else 'the effect'
-        page.table([CANDIDATE_HEAD, *map(candidate_row, candidates)], kinds, left=(5, 6))
+        left = [CANDIDATE_HEAD.index(words) for words in ('status', 'value')]
+        page.table([CANDIDATE_HEAD, *map(candidate_row, candidates)], kinds, left)
         page.text(
             '“Explains” is the share of the error above the noise floor that goes away; “error '
             f'left” is that of the description with {with_what}; “left-out postures” is the error '
@@ -211,17 +221,8 @@ def add_alternatives(page: Page, diagnosis: Diagnosis) -> None:
 
 
 def candidate_row(row: CandidateRow) -> list[str]:
-    """Return the row of a candidate, with the columns of `CANDIDATE_HEAD`."""
-    name = f'{row.name} (another value)' if row.present else row.name
-    return [
-        name,
-        '–' if row.status == NOT_NEEDED else percent(row.explained),
-        mm(row.error),
-        mm(row.held_out),
-        probability(row.probability).removeprefix('p ').removeprefix('= '),
-        row.status,
-        quantities(row.parameters, row.load),
-    ]
+    """Return the row of a candidate, with the columns of `CANDIDATE_COLUMNS`."""
+    return [cell(row) for cell in CANDIDATE_COLUMNS.values()]
 
 
 def pushes_of(diagnosis: Diagnosis) -> dict[str, Push]:
