@@ -1,5 +1,6 @@
 """Stages as a table, and what stands in an effect's own file: the rest of the code reads both."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 
@@ -14,6 +15,7 @@ from tendon_robot_ros.effects import (
     Parameter,
     catalogue,
     load_catalogue,
+    per_axis,
 )
 from tendon_robot_ros.model.compile import kernel_key, stages_source
 from tendon_robot_ros.robot import load_robot
@@ -199,3 +201,23 @@ def test_an_installed_effect_that_cannot_be_loaded_is_named_in_one_line(monkeypa
             load_catalogue()
     finally:
         catalogue._installed.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ('unit', 'finding', 'said'),
+    [
+        ('N', 'a load of {size}, {direction}', ''),
+        ('N/m', 'a drag of {size}', 'loss_z, postures, place, got size'),
+        ('N/m', 'a drag of {los_x}', 'expected fields of loss_x, .*, got los_x'),
+    ],
+)
+def test_the_words_of_a_verdict_name_what_the_effect_has(unit, finding, said):
+    (loss,) = SOFTENING.parameters
+
+    def law(moment, total_tension, loss_x, loss_y, loss_z):
+        return moment
+
+    parameters = per_axis(replace(loss, unit=unit))
+    refused = pytest.raises(EffectError, match=f'finding: .*{said}') if said else nullcontext()
+    with refused:
+        replace(SOFTENING, parameters=parameters, law=law, finding=finding)

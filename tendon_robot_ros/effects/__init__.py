@@ -7,7 +7,7 @@ stage.py       where laws act: what a law takes there, and what it gives back
 """
 
 from .catalogue import BUILT_IN, Catalogue, CatalogueLike, load_catalogue
-from .effect import Effect, Parameter
+from .effect import Effect, Parameter, per_axis
 from .stage import STAGES
 
 __all__ = [
@@ -18,4 +18,5 @@ __all__ = [
     'Effect',
     'Parameter',
     'load_catalogue',
+    'per_axis',
 ]

@@ -185,8 +185,9 @@ class Effect:
     finding : str
         How a verdict says that a model lacks it; by default the title and every parameter.
         `{lever}` stands for the value with its interval, `{relative_change:stiffer/softer}` for
-        its size and one of two words by its sign, `{size}` and `{direction}` for those of a force,
-        `{postures}` and `{place}` for where it pushes the arm.
+        its size and one of two words by its sign, `{size}` and `{direction}` for those of a force
+        (parameters `..._x`, `..._y` and `..._z` in N), `{postures}` and `{place}` for where it
+        pushes the arm.
 
     """
 
@@ -241,10 +242,11 @@ class Effect:
                 f'{", ".join(inputs)}, then {", ".join(fields)}'
             )
         named = {field for _, field, _, _ in Formatter().parse(self.finding) if field}
-        if unknown := named - {*fields, 'size', 'direction', 'postures', 'place'}:
+        is_force = any(p.name.endswith('_x') and p.unit == 'N' for p in self.parameters)
+        known = [*fields, *(('size', 'direction') if is_force else ()), 'postures', 'place']
+        if unknown := named - {*known}:
             yield (
-                f'finding: expected fields of {", ".join(fields)}, size, direction, postures and '
-                f'place, got {", ".join(sorted(unknown))}'
+                f'finding: expected fields of {", ".join(known)}, got {", ".join(sorted(unknown))}'
             )
         for parameter in self.parameters:
             if not parameter.low <= parameter.neutral <= parameter.high:
