@@ -221,3 +221,12 @@ def test_the_words_of_a_verdict_name_what_the_effect_has(unit, finding, said):
     refused = pytest.raises(EffectError, match=f'finding: .*{said}') if said else nullcontext()
     with refused:
         replace(SOFTENING, parameters=parameters, law=law, finding=finding)
+
+
+def test_names_that_no_command_could_take_are_refused():
+    (loss,) = SOFTENING.parameters
+    words = "expected a name of letters, digits and underscores, got 'loss of it'"
+    with pytest.raises(EffectError, match=words):
+        replace(SOFTENING, parameters=(replace(loss, name='loss of it'),))
+    with pytest.raises(EffectError, match="got 'soft:joint'"):
+        replace(SOFTENING, name='soft:joint')

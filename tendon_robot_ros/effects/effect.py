@@ -234,6 +234,9 @@ class Effect:
             yield f'needs: expected one of {", ".join(NEEDS)}, got {self.needs!r}'
         takes = len(inspect.signature(self.law).parameters)
         fields = [p.name for p in self.parameters]
+        for name in (self.name, *fields):
+            if not name.isidentifier():
+                yield f'expected a name of letters, digits and underscores, got {name!r}'
         inputs = [quantity.name for quantity in STAGES[self.stage].inputs]
         wanted = len(inputs) + len(fields)
         if takes != wanted:
