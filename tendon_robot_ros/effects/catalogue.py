@@ -81,7 +81,7 @@ class Catalogue:
             raise EffectError(
                 f'unknown effect {name!r}; known: {", ".join(self.names)} '
                 f'({suggestion(name, self.names)}name the file of your own: --effect-file, '
-                'parameter effects of a node, key catalogue of the plant of a mock arm)'
+                'parameter effects of a node, catalogue in Python and of the plant of a mock arm)'
             )
         return self._effects[name]
 
