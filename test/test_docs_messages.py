@@ -7,6 +7,8 @@ import re
 import pytest
 from source_tree import ROOT, files, parse
 
+from tendon_robot_ros.diagnosis.verdict import Verdict
+
 GAP = '\0'
 # what differs from one printed message to the next
 VARYING = re.compile(r"…|<[^>]*>|'[^']*'|\b\d+(?:\.\d+)?")
@@ -73,3 +75,8 @@ def test_a_quoted_message_is_in_the_sources(page, message):
 
 def test_there_are_messages_on_the_pages():
     assert len(list(quoted('docs/troubleshooting.md'))) > 30
+
+
+def test_the_page_of_the_diagnosis_says_what_every_verdict_means():
+    page = (ROOT / 'docs/diagnosis.md').read_text(encoding='utf-8')
+    assert sorted(re.findall(r'^\| `(\w+)`: \*', page, re.M)) == sorted(Verdict)
