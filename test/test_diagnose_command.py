@@ -342,3 +342,9 @@ def test_another_description_keeps_what_an_import_declared_of_the_frame(folder, 
     (folder / 'known.yaml').write_text(f'{own}\ntolerances: {{position: 0.0002}}\n')
     data = load_measurements([str(copy)], str(folder / 'known.yaml'))
     assert data.robot.tolerances == {'position': 0.0002, 'rotation': 0.035}
+
+
+def test_what_comes_after_reading_is_not_called_reading(folder):
+    told = []
+    load_measurements('hinges/fit', None, lambda what, *_: told.append(what))
+    assert told == ['reading hinges/fit', 'working']

@@ -34,6 +34,7 @@ from ..robot import Robot, dump_robot, load_robot
 
 FRAME_TOLERANCES = ('position', 'rotation')  # of the tracker, in a robot.yaml
 DATA_HELP = 'data set (folder) or recording (folder, .mcap, .db3)'
+WORKING = 'working'  # shown before something says what it does
 
 
 # arguments that several commands share: name -> how argparse takes it
@@ -270,6 +271,7 @@ def load_measurements(
             print('left out:', line, file=sys.stderr)
         print(f'{path}: {summary(imported)}', file=sys.stderr)
         sets.append(imported.dataset)
+    show(WORKING, 0, 0)
     dataset = join(sets)
     return dataset if robot is None else keep_frame_tolerances(dataset, given)
 
@@ -343,7 +345,7 @@ def progress(remaining: bool = False) -> Iterator[Progress]:
     form = '{desc} {n_fmt}/{total_fmt} |{bar}| {elapsed}'
     form += ', {remaining} left' if remaining else ''
     start, ended = time.monotonic(), threading.Event()
-    now = ('working', 0, 0)  # what was told last
+    now = (WORKING, 0, 0)  # what was told last
 
     def show(what: str, done: int, total: int) -> None:
         nonlocal now
