@@ -19,6 +19,7 @@ from tendon_robot_ros.effects import (
 )
 from tendon_robot_ros.model.compile import kernel_key, stages_source
 from tendon_robot_ros.robot import load_robot
+from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.simulation.hidden import Built, Damage
 from tendon_robot_ros.simulation.plant import parts_per_cell, real_robot
 
@@ -230,3 +231,11 @@ def test_names_that_no_command_could_take_are_refused():
         replace(SOFTENING, parameters=(replace(loss, name='loss of it'),))
     with pytest.raises(EffectError, match="got 'soft:joint'"):
         replace(SOFTENING, name='soft:joint')
+
+
+def test_a_size_that_robots_do_not_have_is_refused_with_its_place():
+    (loss,) = SOFTENING.parameters
+    effect = replace(SOFTENING, parameters=(replace(loss, of='lenght'),))
+    words = "effect softening: loss: of: expected one of radius, length, .*, got 'lenght'"
+    with pytest.raises(EffectError, match=words):
+        effect.sized(natural_sizes(robot()))

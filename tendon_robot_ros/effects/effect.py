@@ -103,21 +103,9 @@ class Parameter:
         return min(size, self.high - value)
 
     def sized(self, sizes: Mapping[str, float]) -> Parameter:
-        """
-        Return the parameter with bounds, neutral and typical value in its unit for one robot.
-
-        Raises
-        ------
-        EffectError
-            It counts in a size that robots do not have.
-
-        """
+        """Return the parameter with bounds, neutral and typical value in its unit for a robot."""
         if not self.of:
             return self
-        if self.of not in sizes:
-            raise EffectError(
-                f'{self.name}: of: expected one of {", ".join(sizes)}, got {self.of!r}'
-            )
         one = sizes[self.of]
         scaled = {key: one * getattr(self, key) for key in ('low', 'high', 'neutral', 'typical')}
         return replace(self, **scaled)
@@ -300,7 +288,19 @@ class Effect:
         return VALUES_OF.get(self.stage, 'section')
 
     def sized(self, sizes: Mapping[str, float]) -> Effect:
-        """Return the effect with its parameters as they are for a robot of these sizes."""
+        """
+        Return the effect with its parameters as they are for a robot of these sizes.
+
+        Raises
+        ------
+        EffectError
+            A parameter counts in a size that robots do not have.
+
+        """
+        for p in self.parameters:
+            if p.of not in ('', *sizes):
+                expected = f'expected one of {", ".join(sizes)}, got {p.of!r}'
+                raise EffectError(f'effect {self.name}: {p.name}: of: {expected}')
         made = copy(self)
         sized = tuple(parameter.sized(sizes) for parameter in self.parameters)
         object.__setattr__(made, 'parameters', sized)
