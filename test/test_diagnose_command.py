@@ -238,6 +238,12 @@ def test_nothing_missing_has_nothing_to_add(capsys, folder):
     assert written(folder) == ['better.yaml']
 
 
+def test_a_printed_command_can_be_typed_though_a_name_has_a_blank(capsys, folder):
+    shutil.copytree('hinges/fit', 'my run')
+    lines = said(capsys, 'compare', 'my run')
+    assert any("tendon_robot_ros diagnose 'my run'" in line for line in lines)
+
+
 def test_add_prints_values_and_the_staircase(capsys, folder):
     lines = said(capsys, 'effect', 'add', 'hinge_friction', '--data', 'hinges/fit', '--output',
                  'better.yaml')  # fmt: skip
@@ -279,6 +285,7 @@ def test_add_prints_json(capsys, folder):
      'nowhere: is not there; name the folder of a data set'),
     (['diagnose', 'hinges/fit', '--check', 'hinges/fit/'],
      'hinges/fit: is named twice; measurements count once, and check no fit to themselves'),
+    (['diagnose', 'hinges/fit', '--reference', 'hinges/fit'], 'hinges/fit: is named twice; '),
     (['compare', 'hinges/fit', 'hinges/check', 'hinges/fit'], 'hinges/fit: is named twice; '),
     (['effect', 'add', 'hinge_friction', '--data', 'hinges/fit', '--output', 'there.yaml'],
      'there.yaml: is there already; use --overwrite or another --output'),

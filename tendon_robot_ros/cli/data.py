@@ -15,7 +15,7 @@ from typing import Any
 
 from ..common.errors import InputError
 from ..common.files import TABLE_ENDINGS, YAML_ENDINGS, refuse_ending
-from ..common.words import PROGRAM, read_unit
+from ..common.words import read_unit, typed
 from ..data import DataSet, load_dataset, save_dataset
 from ..data.bag_reader import Topics
 from ..data.bag_writer import STORAGES, Timing, export_bag
@@ -218,7 +218,7 @@ class ImportTable:
             args,
             content,
             f'{text}\nwritten: {folder}    every choice: {folder}/import.yaml    look: '
-            f'{folder}/import.png\nnext:    {PROGRAM} compare {folder}',
+            f'{folder}/import.png\nnext:    {typed("compare", folder)}',
         )
 
 
@@ -295,12 +295,12 @@ def refuse_swapped(args: argparse.Namespace) -> None:
         if place.is_dir():
             remedy = 'name the tables in it; the folder to write goes behind --output'
             if (place / 'dataset.yaml').is_file():
-                remedy = f'compare it: {PROGRAM} compare {path}'
+                remedy = f'compare it: {typed("compare", path)}'
             raise InputError(f'{path}: is a folder, and no table; {remedy}')
         if (folder / 'dataset.yaml').is_file():
             raise InputError(
                 f'{path}: belongs to the data set {folder}, which needs no import; compare it: '
-                f'{PROGRAM} compare {folder}'
+                f'{typed("compare", folder)}'
             )
         if not place.suffix and not place.exists():
             raise InputError(

@@ -18,7 +18,7 @@ import numpy as np
 from ..common.errors import InputError, choice, whole
 from ..common.files import file_to_write, new_file, new_folder, refuse_other_files, write_text
 from ..common.results import plain
-from ..common.words import PROGRAM, columns, other_unit
+from ..common.words import columns, other_unit, typed
 from ..data.path_files import TendonRows, TipRows, write_path
 from ..drivers.tendon_check import STILL_TOLERANCE_M
 from ..model.model import Model
@@ -405,7 +405,7 @@ class Sweep:
         spans = ', '.join(f'{axis} {a:.1f} to {b:.1f}' for axis, a, b in each)
         content = {'postures': len(shapes), 'tips': places.tolist(), 'written': args.output}
         text = f'{len(shapes)} postures at the {args.view:g}° view; tip {spans} mm'
-        following = f'next: {PROGRAM} follow {args.output}'
+        following = f'next: {typed("follow", args.output)}'
         emit(args, content, f'{text}\nwritten: {args.output}   {following}')
 
 

@@ -312,7 +312,8 @@ def load_judged(
     args: argparse.Namespace, show: Progress
 ) -> tuple[DataSet, DataSet | None, Catalogue]:
     """Read the measurements, those of --check with the same robot, and the catalogue."""
-    refuse_repeated([*args.data, *filter(None, [args.check])])
+    others = vars(args).get('reference') or []
+    refuse_repeated([*args.data, *filter(None, [args.check]), *others])
     dataset = load_measurements(args.data, args.robot, show)
     check = None if args.check is None else load_measurements(args.check, dataset.robot, show)
     return dataset, check, effects_of(args)

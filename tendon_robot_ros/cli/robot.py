@@ -18,7 +18,7 @@ import yaml
 
 from ..common.errors import InputError
 from ..common.files import write_text
-from ..common.words import COMPILING, PROGRAM, STANDARD_GRAVITY, columns, counted, mm
+from ..common.words import COMPILING, STANDARD_GRAVITY, columns, counted, mm, typed
 from ..report.comparison import kind
 from ..report.in_words import route, rows
 from ..robot import Robot, dump_robot, estimates, load_robot, parse_robot
@@ -84,7 +84,7 @@ class NewRobot:
         lines = [
             description(robot),
             f'\nwritten: {path}   picture: {picture}',
-            f'next: {PROGRAM} model shape {path} --tensions {robot.inputs[0]}=1',
+            f'next: {typed("model", "shape", path, "--tensions", f"{robot.inputs[0]}=1")}',
         ]
         content = {'robot': yaml.safe_load(dump_robot(robot)), 'written': str(path)}
         emit(args, content | {'picture': str(picture)}, '\n'.join(lines))

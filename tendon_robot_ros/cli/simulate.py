@@ -22,7 +22,7 @@ from pathlib import Path
 
 from ..common.arrays import Floats
 from ..common.errors import InputError, whole
-from ..common.words import PROGRAM, UNITS, numbers
+from ..common.words import UNITS, numbers, typed
 from ..data import DataSet, Marker, even_markers, save_dataset
 from ..data.dataset import INPUTS, PATHS, extent
 from ..data.folder import refuse_dataset_in
@@ -101,12 +101,12 @@ def run(args: argparse.Namespace) -> None:
     plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=work)
     write = write_tables if args.table else write_datasets
     written = dict(zip(paths, write(args, plant, paths), strict=True))
-    table = f'import table {args.table} --robot {args.robot}'
-    following = f'compare {args.output}' if args.output else table
+    table = ('import', 'table', args.table, '--robot', args.robot)
+    following = typed(*(('compare', args.output) if args.output else table))
     built = [] if args.exact else list(plant.built.text(plant.robot))
     lines = [f'written: {path}: {what}' for path, what in written.items()]
     lines.append(f'hidden:  {", ".join(args.hidden) or "nothing"}')
-    lines += [*(f'built:   {line}' for line in built), f'next:    {PROGRAM} {following}']
+    lines += [*(f'built:   {line}' for line in built), f'next:    {following}']
     emit(args, {'written': written, 'hidden': args.hidden, 'built': built}, '\n'.join(lines))
 
 

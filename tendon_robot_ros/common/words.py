@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -19,6 +20,11 @@ FAR_M = 100.0  # [m] a larger number is a slip of the pen, because no arm reache
 LISTED_MAX = 12
 # [1] characters of a name in a sentence, or in that of a socket, because unix(7) takes 107 in all
 NAME_LENGTH_MAX = 50
+
+
+def typed(*words: object) -> str:
+    """Return a command as a person types it, names with blanks quoted."""
+    return f'{PROGRAM} {shlex.join(map(str, words))}'
 
 
 def scale_of(unit: str, size: float, name: str = '') -> tuple[float, str]:

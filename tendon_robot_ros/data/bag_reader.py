@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -14,7 +15,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import DataSetError, reason_of
 from ..common.rotations import from_quaternion
-from ..common.words import PROGRAM, listing
+from ..common.words import listing, typed
 from ..robot.estimates import NOISE_FACTOR, TRACKER_NOISE_M
 from .arrays import CHANCE_PROBABILITY, NO_ROTATION
 from .bag_writer import DESCRIPTION, JOINT_STATE, LABEL, POSE_ARRAY, ROBOT, STRING, need_rosbags
@@ -141,8 +142,8 @@ def opened(path: str | Path) -> Iterator[Any]:
     from rosbags.typesys import Stores, get_typestore
 
     path = Path(path)
-    convert = f'convert it: rosbags-convert --src {path} --dst NEW'
-    compare = f'compare it: {PROGRAM} compare {path}'
+    convert = f'convert it: rosbags-convert --src {shlex.quote(str(path))} --dst NEW'
+    compare = f'compare it: {typed("compare", path)}'
     name = 'name a rosbag2 folder, or an .mcap or .db3 file'
     stored = f'name a rosbag2 folder, or a file {" or ".join(STORED)}'
     bag, no_bag = path.suffix == '.bag', not (path / 'metadata.yaml').is_file()

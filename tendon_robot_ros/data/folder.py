@@ -14,7 +14,7 @@ import numpy as np
 from ..common import files
 from ..common.errors import DataSetError, TendonRobotError, place, short
 from ..common.files import TABLE_ENDINGS, new_folder, refuse_other_files
-from ..common.words import PROGRAM, STANDARD_GRAVITY
+from ..common.words import STANDARD_GRAVITY, typed
 from ..common.yaml_reading import Reader, dump_yaml, parse_yaml
 from ..robot import Robot, dump_robot, load_robot
 from .arrays import PLAUSIBLE_FACTOR, POSITION, QUATERNION, Marker, default_markers
@@ -253,8 +253,8 @@ def refuse_table(path: Path) -> None:
     if not os.path.exists(path):
         raise DataSetError(str(path), 'is not there', 'name the folder of a data set')
     if path.suffix.lower() in TABLE_ENDINGS and os.path.isfile(path):
-        remedy = f'make one of it: {PROGRAM} import table {path} --robot ARM.yaml --output run'
-        raise DataSetError(str(path), 'is a table, and no data set', remedy)
+        command = typed('import', 'table', path, '--robot', 'ARM.yaml', '--output', 'run')
+        raise DataSetError(str(path), 'is a table, and no data set', f'make one of it: {command}')
     if os.path.isfile(path):
         remedy = 'name the folder that holds dataset.yaml; robots go behind --model or --robot'
         raise DataSetError(str(path), 'is a file, and no data set', remedy)

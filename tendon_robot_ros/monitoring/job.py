@@ -22,7 +22,7 @@ from typing import Any
 from ..common.errors import InputError, TendonRobotError
 from ..common.files import write_text
 from ..common.processes import end_with_parent, own_process
-from ..common.words import PROGRAM, listed, mm
+from ..common.words import listed, mm, typed
 from ..diagnosis.verdict import Verdict
 
 # [1] of POSIX: a third of the processor, so that control comes first
@@ -101,7 +101,7 @@ def guide_of(verdict: Verdict, folder: Path) -> str:
     """Return the next step; without a cause in the catalogue some effects may still help."""
     if verdict is not Verdict.OUTSIDE_CATALOGUE:
         return verdict.guide
-    command = f'{PROGRAM} improve {folder} --output {folder / IMPROVED}'
+    command = typed('improve', folder, '--output', folder / IMPROVED)
     return f'{verdict.guide} What lowers the error all the same, effect by effect: {command}'
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..common.arrays import Floats, interpolated
 from ..common.colours import BAD, FLOOR, MEASURED, WARN, line_style
-from ..common.words import PROGRAM, capital, columns, digits, mm, probability, times
+from ..common.words import capital, columns, digits, mm, probability, times, typed
 from ..comparison.result import Comparison, ModelErrors
 from ..data.dataset import extent
 from ..diagnosis.verdict import SAME_ERROR_RATIO
@@ -140,7 +140,7 @@ def next_step(comparison: Comparison) -> str:
     """Say what to type next; empty when nothing is to be explained."""
     if _drowned(comparison) or is_good(comparison):
         return ''
-    return f'Ask why: `{PROGRAM} diagnose {comparison.measured.data}`'
+    return f'Ask why: `{typed("diagnose", comparison.measured.data)}`'
 
 
 def paired(test: PairedT) -> str:

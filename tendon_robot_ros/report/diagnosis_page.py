@@ -9,7 +9,7 @@ import numpy as np
 
 from ..common.colours import FLOOR, line_style
 from ..common.errors import NoEquilibriumError
-from ..common.words import PROGRAM, capital, listed, mm, percent, probability
+from ..common.words import capital, listed, mm, percent, probability, typed
 from ..comparison.compare import compare
 from ..comparison.result import Comparison
 from ..data import DataSet
@@ -149,12 +149,12 @@ def add_verdict(page: Page, diagnosis: Diagnosis, outcome: str = '') -> None:
 
 def to_do(diagnosis: Diagnosis) -> str:
     """Say what to type now."""
-    command = f'{PROGRAM} diagnose {diagnosis.details.get("data", "DATA")}'
     if not diagnosis.effects:
         return ''
+    words = ['diagnose', diagnosis.details.get('data', 'DATA')]
     if taken := diagnosis.details.get('reference'):
-        command += f' --reference {taken["data"]}'
-    return diagnosis.verdict.advice.format(command=command)
+        words += ['--reference', taken['data']]
+    return diagnosis.verdict.advice.format(command=typed(*words))
 
 
 def add_staircase(page: Page, diagnosis: Diagnosis, addition: Addition | None) -> None:

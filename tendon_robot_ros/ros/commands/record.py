@@ -25,7 +25,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ...common.errors import InputError, TendonRobotError
 from ...common.files import write_errors
 from ...common.results import JSON_OPTION, emit, narrate
-from ...common.words import PROGRAM
+from ...common.words import typed
 from ...data import bag_writer
 from ...robot import dump_robot, load_robot
 from ..shared.inbox import polled
@@ -118,7 +118,7 @@ class Recorder(ClientNode):
             return f'{text}\nnothing was published here: is the robot running, in this namespace?'
         if not self._robot_written:
             text += '\nno description of the robot: name it with --robot when you use this'
-        return f'{text}\nnext: {PROGRAM} plot {output}'
+        return f'{text}\nnext: {typed("plot", output)}'
 
     def _discover(self) -> None:
         space = self.get_namespace().rstrip('/') + '/'
