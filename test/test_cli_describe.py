@@ -2,6 +2,7 @@
 
 import io
 import itertools
+import json
 import sys
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
@@ -56,7 +57,10 @@ def bent(tree, angles):
 
 def test_the_urdf_is_a_chain_of_two_joints_per_cell(capsys):
     assert main(['robot', 'describe', SPATIAL, '--urdf']) == 0
-    tree = ElementTree.fromstring(capsys.readouterr().out)
+    text = capsys.readouterr().out
+    assert main(['robot', 'describe', SPATIAL, '--urdf', '--json']) == 0
+    assert json.loads(capsys.readouterr().out)['urdf'].strip() == text.strip()
+    tree = ElementTree.fromstring(text)
     joints = list(tree.iter('joint'))
     assert [j.get('name') for j in joints] == list(joint_names(load_robot(SPATIAL)))
     assert len(joints) == 2 * 30

@@ -379,6 +379,7 @@ def test_a_wire_that_was_slack_before_pulls_the_arm_into_no_region():
     [
         (['--start', '2'], '--start: expected 3'),
         (['--interval', '-1'], '--interval: expected'),
+        (['--lost', '2'], '--lost: expected a number from 0 to 1 [1], got 2'),
         (['--postures', '3'], '--start: expected 3 to 3, got 4'),
     ],
 )

@@ -187,6 +187,11 @@ def test_rows_at_one_time_are_no_duration_that_could_be_shorter(calm, rows):
         import_table(calm[rows].assign(time_s=0.0), ARM, {'up': 'y'})
 
 
+def test_one_table_has_one_clock(calm):
+    with pytest.raises(DataSetError, match='has one clock for inputs and markers; leave out the'):
+        import_table(calm, ARM, {'up': 'y', 'delay': 0.5})
+
+
 def test_rows_that_were_taken_after_the_arm_had_settled_are_each_a_measurement(walk, tmp_path):
     """Too far apart to show stillness; said, and asked for with `--column time=none`."""
     (frame, places), path = walk, tmp_path / 'rows.csv'

@@ -409,7 +409,7 @@ class Describe:
         if args.urdf:
             from ..robot.urdf import urdf
 
-            print(urdf(robot))
+            emit(args, {'urdf': urdf(robot)}, urdf(robot))
         else:
             emit(args, yaml.safe_load(dump_robot(robot)), description(robot))
 

@@ -25,7 +25,7 @@ import numpy as np
 from ..cli.options import declare
 from ..cli.simulate import hidden_effects, simulated_noise
 from ..common.arrays import Floats
-from ..common.errors import InputError, NoEquilibriumError
+from ..common.errors import InputError, NoEquilibriumError, number
 from ..common.results import emit, narrate
 from ..data import Marker, default_markers
 from ..data.dataset import INPUTS, LOADINGS
@@ -69,7 +69,8 @@ def run(args: argparse.Namespace) -> None:
     work = Workmanship().times(args.level)
     plant = make_plant(robot, hidden, seed=args.seed, catalogue=catalogue, work=work)
     noise = simulated_noise(args.noise)
-    arm = SimulatedArm(plant, noise, args.seed, args.input, args.path, args.lost)
+    lost = number('--lost', args.lost, 0.0, 1.0)
+    arm = SimulatedArm(plant, noise, args.seed, args.input, args.path, lost)
     folder = Path(args.output)
     narrate(args, f'hidden:  {", ".join(args.hidden) or "nothing"}')
     investigation = Investigation(

@@ -199,8 +199,9 @@ def _trace(
             if delay is None:
                 delay, drift, clocks = _clock(state_times, inputs, times, positions)
             times = delay + (1.0 + drift) * times
-        else:
-            delay = None
+        elif delay is not None:
+            remedy = 'leave out the delay, or name its inputs in a table of their own'
+            raise DataSetError(marker_table.name, 'has one clock for inputs and markers', remedy)
         late = times > state_times[-1]
         if late.all():
             problem = f'begins after {input_table.name} with the inputs has ended'
