@@ -131,7 +131,7 @@ def test_a_known_load_gives_the_scale_of_forces():
         ({'path': 'sequence'}, 'has other path than lab/free'),
         ({'robot': replace(ROBOT, tension_limits=(0.0, 9.0))}, 'has another robot description'),
         (
-            {'reference': EarlierRecording('old', 1e-3, np.zeros(3), np.zeros(3))},
+            {'reference': EarlierRecording('old', 1e-3, np.zeros(3), np.zeros(3), {})},
             'lab/weight: the deviations of old are taken off it; join before',
         ),
     ],
