@@ -11,7 +11,7 @@ from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.common.rotations import about, rigid_fit
 from tendon_robot_ros.diagnosis.diagnose import diagnose
-from tendon_robot_ros.diagnosis.marker_hypotheses import in_one_place
+from tendon_robot_ros.diagnosis.marker_hypotheses import in_one_place, miscounted
 from tendon_robot_ros.diagnosis.result import EffectFinding
 from tendon_robot_ros.diagnosis.setup_hypotheses import dead_inputs, gravities
 from tendon_robot_ros.diagnosis.setup_mistakes import (
@@ -389,6 +389,23 @@ def test_markers_cut_at_an_end_of_an_arm_with_cells_too_few_are_said(end, how, h
     sentence = found.details['mistake']['sentence']
     assert 'are described in one place and are ' in sentence
     assert f'; with 20 cells instead of 18 in the arm (markers {how})' in sentence
+
+
+def test_cells_are_counted_where_routes_and_weight_are_described_cell_by_cell():
+    text = LOADED.replace('effects:', 'exact: true\neffects:')
+    text = text.replace('[0.0, 0.006]', '{cells: %s}')
+    text = text.replace('bends_as: hinge', 'bends_as: hinge, mass_offset: %s')
+
+    def arm(cells):
+        each = (cells * [[0.001, 0.0]], cells * [[0.0, 0.006]])
+        return parse_robot((text % each).replace('cells: 20', f'cells: {cells}'))
+
+    right = measured(arm(20), count=4)
+    kept = replace(right, markers=right.markers[:18], positions=right.positions[:, :, :18])
+    predictor = Predictor(replace(kept, robot=arm(18)), arm(18), CATALOGUE)
+    found = list(miscounted(predictor, predictor.markers({})))
+    best = min(found, key=lambda one: one.after)
+    assert best.sentence == 'with 20 cells instead of 18 in the arm (markers stay)'
 
 
 def test_markers_that_sit_in_one_place_are_no_mistake():

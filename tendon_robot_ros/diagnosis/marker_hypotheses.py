@@ -164,22 +164,38 @@ def otherwise_divided(predictor: Predictor, markers: Floats) -> Iterator[Mistake
             yield from _counted(predictor, s, section.cells // 2, section.cell_length * 2.0)
 
 
+def _recounted[T](values: tuple[T, ...], count: int) -> tuple[T, ...]:
+    """Return values of so many cells of a section, further ones as the last; none stay none."""
+    return (values + count * values[-1:])[:count]
+
+
 def _counted(predictor: Predictor, s: int, count: int, length: float) -> Iterator[Mistake]:
     """Try a number of cells of a length [m] each in a section, with possible marker places."""
     robot, dataset, section = predictor.robot, predictor.dataset, predictor.robot.sections[s]
     if section.is_plate:
         return
     place = f'section {section.name}' if len(robot.own_sections) > 1 else 'the arm'
-    filled = count * (section.bending_stiffness[-1],)
     other = replace(
         section,
         cells=count,
         cell_length=length,
-        bending_stiffness=(section.bending_stiffness + filled)[:count],
-        mass_profile=(section.mass_profile + count * section.mass_profile[-1:])[:count],
+        bending_stiffness=_recounted(section.bending_stiffness, count),
+        mass_profile=_recounted(section.mass_profile, count),
+        mass_offset=_recounted(section.mass_offset, count),
     )
     sections = (*robot.sections[:s], other, *robot.sections[s + 1 :])
-    longer = replace(robot, sections=sections, fitted={})
+    first = sum(before.cells for before in robot.sections[:s])
+    beyond = first + section.cells
+    tendons = tuple(
+        replace(
+            tendon,
+            offsets=tendon.offsets[:first]
+            + _recounted(tendon.offsets[first:beyond], count)
+            + tendon.offsets[beyond:],
+        )
+        for tendon in robot.tendons
+    )
+    longer = replace(robot, sections=sections, tendons=tendons, fitted={})
     same = longer.length == robot.length
     each = f' of {1e3 * length:g} mm' if same else ''
     stay = [('stay', dataset.arc_lengths.tolist())]
