@@ -154,6 +154,16 @@ def test_motors_with_a_spool_give_wire_pulls(unit, a_turn):
         import_table(pandas.DataFrame(columns), ARM)
 
 
+def test_wires_that_hold_against_each_other_are_said_with_the_posture():
+    columns = {f'motor{i + 1} [deg]': [0.0, 30.0] for i in range(3)}
+    for j in range(8):
+        columns |= {f'm{j}_{axis}_mm': [0.0, 0.0] for axis in 'xy'}
+        columns[f'm{j}_z_mm'] = [15.0 * (j + 1)] * 2
+    said = 'in 1 of 2 postures the model finds no equilibrium, first in 1: pulls: no tensions give'
+    with pytest.raises(InputError, match=f'{said}.*; release one of the wires; .*wire_spring'):
+        import_table(pandas.DataFrame(columns), ARM, {'spool': {'radius': 0.01}})
+
+
 def test_currents_with_a_torque_constant_give_tensions(calm):
     spool = {'radius': 0.01, 'torque_constant': 0.5}
     amps = calm.copy()

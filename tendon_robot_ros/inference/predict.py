@@ -462,11 +462,8 @@ class Predictor:
     def shapes(self, inputs: Floats, near: SettledShapes | None) -> ShapeBatch | None:
         """Shapes (b) of the model as it is set, under inputs (b, m); None without equilibrium."""
         if self.dataset.input == 'displacement':
-            memory = self.model.arrays.fresh_memory() if self.carries else None
-            tensions, bends = (None, None) if near is None else (near.tensions, near.state)
-            slopes = None if near is None else near.slopes
             try:
-                return pull_shapes(self.model, inputs, tensions, bends, memory, slopes)
+                return self._pulled(inputs, near)
             except TendonRobotError:
                 return None
         if self.model.remembers:
@@ -483,6 +480,24 @@ class Predictor:
             for name in FIELDS:
                 getattr(batch, name)[b] = getattr(retried, name)[0]
         return batch
+
+    def _pulled(self, inputs: Floats, near: SettledShapes | None) -> ShapeBatch:
+        memory = self.model.arrays.fresh_memory() if self.carries else None
+        tensions, bends = (None, None) if near is None else (near.tensions, near.state)
+        slopes = None if near is None else near.slopes
+        return pull_shapes(self.model, inputs, tensions, bends, memory, slopes)
+
+    def refused(self, posture: str) -> str | None:
+        """Say why the wire pulls of a posture cannot be (as described), loaded from straight."""
+        row = self.dataset.postures.index(posture)
+        for part in self.parts if self.dataset.input == 'displacement' else ():
+            if row in part.rows:
+                self.set_parameters({}, part)
+                try:
+                    self._pulled(self.inputs[row : row + 1], None)
+                except TendonRobotError as refusal:
+                    return str(refusal)
+        return None
 
     def see(self, shapes: ShapeBatch) -> Floats:
         """Return where the tracker sees the markers (b, J, 3) [m] of shapes."""

@@ -12,7 +12,7 @@ from ..common.arrays import DIGITS, Bools, Floats
 from ..common.errors import DataSetError, InputError
 from ..common.estimation import ITERATIONS_MAX
 from ..common.rotations import angle_between, rigid_fit, rotation_about, rotation_between
-from ..common.words import STANDARD_GRAVITY, listing, mm
+from ..common.words import STANDARD_GRAVITY, listing, mm, postures
 from ..data import DataSet
 from ..data.arrays import Vector
 from ..effects import Catalogue
@@ -80,8 +80,7 @@ class TrackerFrame:
     def __init__(self, predictor: Predictor, choice: FrameChoice, up: str | None) -> None:
         dataset, markers = predictor.dataset, predictor.markers({})
         if markers is None:
-            remedy = 'check their unit, and the stiffness in the robot description'
-            raise InputError(f'the model finds no equilibrium for these inputs: {remedy}')
+            raise InputError(_unsettled(predictor))
         measured = dataset.mean
         visible = np.isfinite(measured).all(axis=2)
         gravity = np.array(predictor.robot.gravity or (0.0, 0.0, 0.0))
@@ -268,6 +267,22 @@ def rotation_vector(rotation: Floats) -> Vector:
     """Return the rotation vector [rad] of a matrix."""
     x, y, z = Rotation.from_matrix(rotation).as_rotvec().round(DIGITS + 3).tolist()
     return x, y, z
+
+
+def _unsettled(predictor: Predictor) -> str:
+    """Say in which postures the model finds no equilibrium, why, and what may be wrong."""
+    names = predictor.unsettled()
+    remedy = 'check their unit, and the stiffness in the robot description'
+    if not names:  # only on the way
+        return f'the model finds no equilibrium for these inputs: {remedy}'
+    of = postures(len(predictor.dataset.postures))
+    said = f'in {len(names)} of {of} the model finds no equilibrium, first in {names[0]}'
+    if refusal := predictor.refused(names[0]):
+        remedy = (
+            f'{refusal}; where wires give way the description says so (wire_spring), a slack wire '
+            'has an empty cell; else check unit and spool'
+        )
+    return f'{said}: {remedy}'
 
 
 class Placed:
