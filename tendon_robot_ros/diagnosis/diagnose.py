@@ -12,7 +12,7 @@ from ..common.processes import one_thread
 from ..common.words import listed, mm
 from ..data import DataSet, DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
-from ..inference.crossval import rms_of
+from ..inference.crossval import described_by, error_of, rms_of
 from ..inference.discrepancy import earlier_of, since
 from ..inference.fit import Fit
 from ..inference.fitter import BEST_FEW, FAILURES
@@ -22,7 +22,7 @@ from ..robot import RobotLike
 from .add import add_effects
 from .marker_hypotheses import exchanged
 from .next_measurement import propose
-from .report_rows import details_of, finding, fitted_errors, remainder_text, rows_of
+from .report_rows import details_of, finding, fitted_errors, nearest, remainder_text, rows_of
 from .result import Diagnosis
 from .select import gather
 from .setup_hypotheses import Mistake
@@ -215,13 +215,18 @@ def _judge(question: Question) -> Diagnosis:
     if outside and question.dataset.accuracy and not question.use_accuracy:
         fits = gather(replace(question, use_accuracy=True))
         decision = fits.judge()
-    session, chosen = fits.session, decision.chosen
+    outside = decision.verdict is Verdict.OUTSIDE_CATALOGUE
+    session, chosen = fits.session, nearest(fits, decision) if outside else decision.chosen
+    decision = replace(decision, chosen=chosen)
     errors = fitted_errors(session, None if chosen is None else fits.reported(chosen))
-    if decision.verdict is Verdict.OUTSIDE_CATALOGUE and not errors.after <= errors.before:
+    if outside and not errors.after <= errors.before:
         decision = replace(decision, chosen=None, together=())  # it does not lower the error
         chosen, errors = None, fitted_errors(session, None)
     own = set() if chosen is None else set(chosen.names)
     details = details_of(fits, decision)
+    if errors.beside:  # else the arm is written as it was described
+        as_found = described_by(session, fits.base, beside=True)
+        details['error_as_found'] = error_of(session, as_found)
     return Diagnosis(
         verdict=decision.verdict,
         effects=tuple(finding(fits, decision, errors)),

@@ -215,6 +215,16 @@ def finding(fits: Fits, decision: Concluded, errors: FittedErrors) -> list[Effec
     ]
 
 
+def nearest(fits: Fits, decision: Concluded) -> Ranked | None:
+    """Return the one of a class that predicts left-out postures best, the arm as described."""
+    near = [one for one in fits.every if one.candidate.label in decision.together]
+
+    def left_out_error(one: Ranked) -> float:
+        return root_mean(left_out_squares(fits.session.fitter, one.fit, beside=False))
+
+    return min(near, key=left_out_error, default=decision.chosen)
+
+
 def rows_of(fits: Fits, decision: Concluded, errors: FittedErrors) -> tuple[CandidateRow, ...]:
     """
     Return the candidate table, best first.

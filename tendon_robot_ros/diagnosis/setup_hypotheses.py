@@ -296,6 +296,7 @@ def wrong_units(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
     """Try units of the inputs and of the positions."""
     tension, dataset = predictor.dataset.input == 'tension', predictor.dataset
     described = 'bending_stiffness [N·m/rad] and offsets [m]' if tension else 'offsets [m]'
+    stretch = ', and how far its wires stretch (wire_spring)'  # an arm bends less by that
     for factor in UNIT_FACTORS:
         yield from evaluated(
             predictor,
@@ -303,7 +304,7 @@ def wrong_units(predictor: Predictor, markers: Floats) -> Iterator[Mistake]:
             'unit_of_inputs',
             f'with all inputs {times(factor)}',
             f'check their unit in inputs.csv {"[N]" if tension else "[m]"}; if that is right, '
-            f'{described} of the description',
+            f'{described} of the description{"" if tension or factor > 1.0 else stretch}',
             **_with_inputs(dataset, partial(np.multiply, factor)),
         )
         yield from evaluated(

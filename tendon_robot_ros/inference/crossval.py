@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..common.arrays import Floats, Ints
-from ..common.errors import NoEquilibriumError
+from ..common.errors import NoEquilibriumError, RobotDescriptionError
 from ..data import DataSet
 from ..effects import Catalogue
 from ..model.program import solved
@@ -263,9 +263,11 @@ def written(session: Session, fit: Fit) -> Written:
         return Written(alone, alone, False, error, plain)
     together = left_out_squares(fitter, fit)
     lost = np.isfinite(plain) & ~np.isfinite(together)  # without an equilibrium
-    if lost.any() or root_mean(together) > LEFT_OUT_RATIO_MAX * error:
+    robot = described_by(session, fit, beside=True)
+    helps = root_mean(together) <= LEFT_OUT_RATIO_MAX * error and not lost.any()
+    if not helps or np.isnan(error_of(session, robot)):
         return Written(alone, alone, False, error, plain)
-    return Written(alone, described_by(session, fit, beside=True), True, error, together)
+    return Written(alone, robot, True, error, together)
 
 
 def described_by(session: Session, fit: Fit, beside: bool) -> Robot:
@@ -279,6 +281,13 @@ def described_by(session: Session, fit: Fit, beside: bool) -> Robot:
 
 
 def error_of(session: Session, robot: Robot) -> float:
-    """Return the rms error [m] on the measurements; nan without an equilibrium."""
+    """
+    Return the rms error [m] on the measurements.
+
+    Nan without an equilibrium, and where a fit went beyond what a description can hold.
+    """
     near = session.described[0].settled if session.dataset.thinned_from else None
-    return rms_of(session.whole, robot, session.catalogue, near)
+    try:
+        return rms_of(session.whole, robot, session.catalogue, near)
+    except RobotDescriptionError:
+        return np.nan

@@ -150,10 +150,16 @@ def explained_part(diagnosis: Diagnosis) -> str:
     if not with_arm(diagnosis):
         return f'{explained} of the error above the noise'
     lowest = min(diagnosis.noise_floor, diagnosis.error_after)
-    alone = explained_fraction(diagnosis.error_before, diagnosis.error_alone, lowest) or 0.0
+
+    def share(error: float) -> str:
+        fraction = explained_fraction(diagnosis.error_before, error, lowest) or 0.0
+        return percent(max(fraction, 0.0))
+
+    as_found = diagnosis.details.get('error_as_found', np.nan)
+    without = f', and that arm {share(as_found)} without it' if np.isfinite(as_found) else ''
     return (
         f'{explained} of the error above the noise with the arm as it was found, '
-        f'{percent(max(alone, 0.0))} alone'
+        f'{share(diagnosis.error_alone)} alone{without}'
     )
 
 

@@ -199,7 +199,7 @@ def _trace(
             if delay is None:
                 delay, drift, clocks = _clock(state_times, inputs, times, positions)
             times = delay + (1.0 + drift) * times
-        elif delay is not None:
+        elif delay:
             remedy = 'leave out the delay, or name its inputs in a table of their own'
             raise DataSetError(marker_table.name, 'has one clock for inputs and markers', remedy)
         late = times > state_times[-1]
