@@ -178,13 +178,13 @@ def test_a_cause_outside_is_not_added(capsys, folder):
     lines = said(capsys, 'diagnose', 'l/fit', '--robot', own, '--add', 'better.yaml', code=2)
     assert lines[:2] == [
         'Missing: something that no known effect describes.',
-        "Nearest: a load of 2.6 ± 0.2 mN at the tip, along the arm's axis, towards its base "
-        '(`tip_load`). It lowers the error from 1.49 mm to 0.478 mm, but what remains is 1.9 '
-        'times the noise (p < 1e-6).',
+        'Nearest: the backbone is 4.3 ± 0.3 % softer than described (`backbone_stiffness`). It '
+        'lowers the error from 1.49 mm to 0.280 mm, but what remains is not random (p < 1e-6), '
+        'though it is only 1.1 times the noise.',
     ]
     told = 'cell 4 bends 1.4 times as much as it should. Look at that cell.'
     assert 'in every posture' in lines[2] and lines[2].endswith(told)
-    assert lines[-1] == 'Nothing was added (--partial would add tip_load).'
+    assert lines[-1] == 'Nothing was added (--partial would add backbone_stiffness).'
     assert written(folder) == ['exact.yaml']
 
 
@@ -194,12 +194,12 @@ def test_partial_adds_it_and_says_that_more_is_at_work(capsys, folder):
     lines = said(capsys, 'diagnose', 'l/fit', *added)
     note, known = lines[-3:-1]
     assert note.startswith('note: more is at work than these effects: what is left on the '
-                                'fitted postures is 1.9 times the noise')  # fmt: skip
-    origin = yaml.safe_load((folder / 'better.yaml').read_text())['fitted']['tip_load']
+                                'fitted postures is 1.1 times the noise')  # fmt: skip
+    origin = yaml.safe_load((folder / 'better.yaml').read_text())['fitted']['backbone_stiffness']
     assert note == f'note: {origin["more_at_work"]}'
     assert 'at the tip on postures left out: the file says so, as model_error' in known
     assert any(
-        line.startswith('error on postures left out in turn: 1.49 mm -> 0.629') for line in lines
+        line.startswith('error on postures left out in turn: 1.49 mm -> 0.287') for line in lines
     )
 
 
