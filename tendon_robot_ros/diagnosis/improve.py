@@ -351,7 +351,7 @@ class Searched:
         """
         Judge the arm as it was found as a last step, by searches that did not know the posture.
 
-        It is written where their error falls as well.
+        It is written where their error falls by more than its standard error, as any step.
         """
         assert self.arm is not None
         last, chosen = self.errors[self.taken].copy(), self.chosen.copy()
@@ -362,8 +362,10 @@ class Searched:
                 off = self.search.measured[held] - predicted[k]
                 if np.isfinite(off).any(axis=(1, 2)).all():
                     squares[held] = (off**2).sum(axis=2)
-        lower = float(np.nanmean(last)) < float(np.nanmean(self.errors[self.taken]))
-        return replace(self, last=last, chosen=chosen, arm_written=lower)
+        gain, scatter = fall(self.errors[self.taken], last)
+        if gain <= scatter:
+            return replace(self, last=last)
+        return replace(self, last=last, chosen=chosen, arm_written=True)
 
     def result(self) -> Improvement:
         """Return the improved description, its steps and errors."""
