@@ -463,4 +463,4 @@ def implausible(diagnosis: Diagnosis) -> list[str]:
                 'the inputs, how the bending stiffness was worked out (modulus, diameter), '
                 'the offsets of the tendons and the number of cells'
             )
-    return texts
+    return list(dict.fromkeys(texts))  # of several inputs with the same value once
