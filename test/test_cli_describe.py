@@ -248,6 +248,18 @@ def test_kilograms_and_decimetres_are_told_without_an_exponent():
     assert 'weighs 2500 g; level, it sags by 150 mm at the tip' in handling(robot)
 
 
+@pytest.mark.parametrize(('share', 'stands'), [(0.8, True), (1.2, False)])
+def test_an_upright_arm_bends_over_above_the_load_that_buckles_a_column(share, stands):
+    """The critical weight per length is 7.837 EI / L³, EI of a cell its stiffness by length."""
+    robot = planar(cells=20, stiffness=0.2, length=0.005)
+    density = share * 7.837 * 0.2 * 0.005 / robot.length**3 / 9.81
+    effects = {'gravity': {'linear_density': density}, 'tip_load': {'force_x': 1e-5}}
+    robot = replace(robot, effects=effects, gravity=(0.0, 0.0, -9.81))
+    assert any(line.endswith('; upright, it bends over') for line in handling(robot)) != stands
+    sideways = Model(robot).shape([0.0, 0.0]).tip_position[0]
+    assert (abs(sideways) < 0.05 * robot.length) == stands
+
+
 def test_the_sag_of_a_beam_of_many_cells_is_that_of_the_textbook():
     robot = load_robot(ROBOTS / 'kato_10_1_single.yaml')
     cells = 400

@@ -27,6 +27,9 @@ SAME_TENSION_N = 1e-3
 MILLIMETRES = math.sqrt(UNITS['length']['m'] / UNITS['length']['mm'])
 # [1] of the length, beyond which no sag is said, because that of a straight beam is too large then
 SAG_FRACTION_MAX = 0.3
+# [1] of the length: sag of the level arm up to which an upright one stands, because a column
+# buckles under a weight q L³ = 7.837 EI, and sags by q L⁴ / 8 EI (Greenhill 1881)
+STANDS_UP_TO = 7.837 / 8.0
 # [1] of the length, that the tip of an untried model may be off; beyond it a load or an effect is
 # missing, because the bias of a calibrated model is smaller (docs/control.md)
 MODEL_ERROR_MAX = 0.05
@@ -130,7 +133,8 @@ def handling(robot: Robot) -> list[str]:
         sags = f'sags by {_number(1e3 * drop, 2)} mm at the tip'
         if drop > SAG_FRACTION_MAX * robot.length:
             sags = 'hangs down under its own weight'
-        lines.append(f'weighs {_number(1e3 * kilograms)} g; level, it {sags}')
+        upright = '; upright, it bends over' if drop > STANDS_UP_TO * robot.length else ''
+        lines.append(f'weighs {_number(1e3 * kilograms)} g; level, it {sags}{upright}')
     wrong = _other_units(robot) or _other_stiffness(robot, rates)
     return [*lines, f'NOT PLAUSIBLE: {wrong}' if wrong else _plausible(robot, rates)]
 
