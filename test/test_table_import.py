@@ -209,6 +209,9 @@ def test_rows_that_were_taken_after_the_arm_had_settled_are_each_a_measurement(w
     guess = {'up': 'y', 'path': 'sequence', 'frame': {'method': 'model'}}
     with pytest.raises(DataSetError, match=r'0.6 s apart, .*say --column time=none'):
         import_table(settled, ARM, guess)
+    seldom = settled.assign(time=lambda rows: 2.3 * np.arange(len(rows))).drop(columns='time_s')
+    with pytest.raises(DataSetError, match=r'2.3 s apart, .*say --column time=none'):
+        import_table(seldom, ARM, guess)  # milliseconds would be over at once
     imported = import_table(settled, ARM, guess | {'time': {}})
     assert imported.dataset.trials.sum() == len(settled) == len(places)
     assert 'time=none' not in imported.text()

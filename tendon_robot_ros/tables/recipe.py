@@ -518,10 +518,14 @@ class Selection:
 def _time_unit(table: RawTable, column: str) -> tuple[str, str]:
     if table.is_text(column):
         return 's', ''
-    step = float(np.nanmedian(np.abs(np.diff(table.columns[column])))) if len(table) > 1 else 0.0
+    steps = np.abs(np.diff(table.columns[column]))
+    step, whole = (
+        (float(np.nanmedian(steps)), float(np.nansum(steps))) if len(steps) else (0.0, 0.0)
+    )
     for unit in ('s', 'ms', 'us', 'ns'):
         seconds = step * UNITS['time'][unit]
-        if seconds <= STEP_MAX_S:
+        is_recording = unit == 's' or whole * UNITS['time'][unit] > STEP_MAX_S
+        if seconds <= STEP_MAX_S and is_recording:
             rate = f', then there are {1 / seconds:.3g} rows a second' if seconds else ''
             return unit, f'{column} is in {unit}{rate}'
     return 's', ''
