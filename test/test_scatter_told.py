@@ -24,7 +24,7 @@ from tendon_robot_ros.inference.statistics import chi2_isf
 from tendon_robot_ros.report.sentences import as_built
 from tendon_robot_ros.robot import load_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
-from tendon_robot_ros.simulation.measurements import simulate
+from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
 
@@ -205,3 +205,20 @@ def test_a_scatter_that_does_not_show_may_be_none():
         size = np.array([1e-3])
         low, high = SizeIntervals(random, size).ends(size)
         assert low[0] == 0.0 and high[0] >= 0.03
+
+
+def test_a_value_of_one_tendon_that_the_postures_leave_open_stays_as_described():
+    """The right wire is never wound, so that nothing tells the gain of its spool."""
+    robot = load_robot(ROBOTS / 'kato_10_1_single.yaml')
+    robot = robot.with_effect('wire_spring', {'compliance': 1e-3})
+    robot = robot.with_effect('spool_gain', {'relative_change': (0.0, 0.0)})
+    hidden = {'spool_gain': {'relative_change': (0.1, 0.0)}}
+    plant = make_plant(robot, hidden, seed=3, work=Workmanship().times(0.3))
+    rows = np.outer(np.linspace(0.1, 1.0, 8), [np.linalg.norm(robot.tendons[0].base), 0.0])
+    steady = SimulatedNoise(setting=0.0, trial=0.0)  # else it would be wound a little
+    dataset = simulate(plant, rows, input='displacement', noise=steady)
+    session = Question.of(dataset, robot, CATALOGUE).prepared()
+    (gains,) = (one for one in session.candidates if one.names == ('spool_gain',))
+    told = session.fitter.for_values(session.fitter.fit(gains.frees))
+    assert [free.label for free in told.frees] == ['left']
+    assert told.values[0] == pytest.approx(0.1, abs=2.0 * np.sqrt(told.interval_covariance[0, 0]))

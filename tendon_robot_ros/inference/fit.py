@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -184,6 +185,17 @@ class Fit:
         told = mixture.half_widths(1.0 - SIGNIFICANCE)[:k] / QUANTILE
         tails = np.divide(told, sd, where=seen & (sd > 0.0), out=np.ones(k))
         return np.asarray(around * np.outer(tails, tails) + known)
+
+    @property
+    def undetermined(self) -> list[FreeParameter]:
+        """Parameters of single tendons or sections that may be anything, the loosest first."""
+        sd, loose = np.sqrt(np.diag(self.covariance)), dict[FreeParameter, float]()
+        for free, half in zip(self.frees, (QUANTILE * sd).tolist(), strict=False):
+            share = half / (free.parameter.high - free.parameter.low)
+            if free.column is not None and share >= 1.0:
+                loose[free] = share
+        alone = Counter(free.effect for free in self.frees)
+        return sorted((f for f in loose if alone[f.effect] > 1), key=lambda f: -loose[f])
 
     @property
     def prior_z(self) -> dict[str, float]:

@@ -151,13 +151,19 @@ class Fitter:
         Fit again under the likeliest logarithms of the sizes: for values and intervals.
 
         The likelihood rewards an effect that makes a kind of imperfections small; its value
-        would otherwise include part of what that kind causes.
+        would otherwise include part of what that kind causes. Values of single tendons or sections
+        that the postures do not determine stay as described, the least determined first.
         """
         if not fit.as_built or not fit.frees:
             return fit
         sizes = fit.estimate(prior=Prior.LOGARITHMS).values
         self.resume(fit)
-        return self.fit(fit.frees, fit.point, sizes=sizes)
+        told = self.fit(fit.frees, fit.point, sizes=sizes)
+        while loose := told.undetermined:
+            frees = [free for free in told.frees if free != loose[0]]
+            point = {free: value for free, value in told.point.items() if free != loose[0]}
+            told = self.fit(frees, point, sizes=sizes)
+        return told
 
     def over_reversals(self, fit: Fit) -> Fit:
         """
