@@ -249,6 +249,23 @@ def test_a_contact_is_told_with_its_place_and_ends(name, exact, part):
     assert np.median(off) <= 0.05 * robot.length and max(off) <= 0.25 * robot.length
 
 
+def test_a_force_near_kinks_of_friction_is_found_by_tangents_where_a_step_misleads():
+    """By steps alone each of these four leaves a marker 6 mm off or more."""
+    arm, random = untaught(replace(FINE['planar'], exact=True)), np.random.default_rng(1)
+    (low, high), off = ([0.2045, 0.1, 0.3145, 0.3554], [0.3, 0.1, 0.3, 0.3]), []
+    for tensions, force in [
+        (low, [0.0028, 0.0042, 0.0]),
+        (low, [0.0026, 0.0052, -0.0013]),
+        (high, [0.00286, 0.00403, -0.00104]),
+        (high, [0.0033, 0.00465, -0.0012]),
+    ]:
+        plant = make_plant(FINE['planar'], tip_load(np.array(force)), scatter=0.0)
+        (seen,) = exactly(plant, np.array([tensions]))
+        seen = seen + random.normal(0.0, NOISE, seen.shape)
+        off.append(ContactObserver(arm).update(np.array(tensions), seen).off)
+    assert sum(np.array(off) < 0.01 * arm.robot.length) >= 3, off
+
+
 @pytest.mark.parametrize('name', ARMS)
 @pytest.mark.long
 def test_of_a_tip_alone_the_place_is_not_told_and_the_force_is_as_if_at_the_tip(name):
@@ -278,7 +295,7 @@ def test_a_place_that_was_tried_and_is_no_better_leaves_nothing_behind(monkeypat
     robot, tensions = ROBOT, np.array([0.4, 0.2, 0.7])
     touch = {'arc_length': 0.5 * robot.length, 'force_x': 0.03}
     seen = Model(robot.with_effect('point_load', touch)).shape(tensions).positions
-    fit = _Fit(ContactObserver(untaught(robot)), tensions[None], seen.ravel(), True, 1)
+    fit = _Fit(ContactObserver(untaught(robot)), tensions[None], seen.ravel(), True, 1, False)
     best = fit._at(np.zeros(3), robot.length)
     factor, tried = fit.factor, []
     monkeypatch.setattr(_Fit, '_cost', lambda self, one: tried.append(self.factor) or 0.0)

@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -41,7 +42,7 @@ from ..inference.search import DIFFERENCE_STEP
 from ..inference.statistics import RARE, SIGNIFICANCE, TIE_SCORE, chi2_isf
 from ..model.shape import ShapeBatch
 from ..robot.estimates import natural_sizes
-from .built_arm import LOAD, ODD_PROBABILITY, BuiltArm
+from .built_arm import LOAD, ODD_PROBABILITY, BuiltArm, solved
 
 # the effect whose place is sought; where the description has one itself, the tip is the only place
 PLACED = 'point_load'
@@ -99,10 +100,10 @@ class ContactObserver:
         self.effect = LOAD if PLACED in arm.robot.effects else PLACED
         frees = free_parameters(arm.catalogue[self.effect], arm.robot)
         named = {free.parameter.name: free for free in frees}
-        self._frees = [named[f'force_{xyz}'] for xyz in 'xyz']
+        self.frees = [named[f'force_{xyz}'] for xyz in 'xyz']
         self._place = named.get('arc_length')
-        self._described = np.array([arm.described.value(free) for free in self._frees])
-        self.step = DIFFERENCE_STEP * self._frees[0].parameter.typical  # [N] of a difference
+        self._described = np.array([arm.described.value(free) for free in self.frees])
+        self.step = DIFFERENCE_STEP * self.frees[0].parameter.typical  # [N] of a difference
         # (PLACES,) [m] at which the cost is profiled; the last is the tip
         self.places = np.arange(1, PLACES + 1) / PLACES * self.tip
         self._last = np.zeros(3), self.tip
@@ -145,9 +146,13 @@ class ContactObserver:
         best, none = None, np.zeros(3)
         # a local minimum leaves a marker elsewhere, as an arm does that was pushed far at once
         for start in (self._last, (none, self.tip), (none, 0.5 * self.tip)):
-            with suppress(NoEquilibriumError):
-                contact = _Fit(self, inputs, measured.ravel(), markers, frames).solve(*start)
-                best = contact if best is None or contact.off < best.off else best
+            for tangents in False, True:  # what one leaves, the other may explain
+                fit = _Fit(self, inputs, measured.ravel(), markers, frames, tangents)
+                with suppress(NoEquilibriumError):
+                    contact = fit.solve(*start)
+                    best = contact if best is None or contact.off < best.off else best
+                if fit.explains:
+                    break
             if best is not None and (best.off < SAME_LENGTH * self.tip or not markers):
                 break
         if best is not None:
@@ -158,7 +163,7 @@ class ContactObserver:
         """Return the parameters of the model under a force at a place."""
         values = (self._described + force).tolist()
         where = {} if self._place is None else {self._place: place}
-        return where | dict(zip(self._frees, values, strict=True))
+        return where | dict(zip(self.frees, values, strict=True))
 
     def predicted(self, force: Floats, inputs: Floats, markers: bool, place: float) -> Floats:
         """Return markers (3 J,) or wire pulls (m,) [m] under a force (3,) [N] at a place [m]."""
@@ -222,6 +227,8 @@ class _Fit:
     measured: Floats  # (3 J,) of markers or (m,) of wire pulls [m]
     markers: bool
     frames: int
+    tangents: bool  # whether slopes are those at a point
+    explains: bool = False  # whether the contact leaves no more than chance
 
     def __post_init__(self) -> None:
         self.rows = np.isfinite(self.measured)
@@ -232,14 +239,18 @@ class _Fit:
         """Return the contact; raise NoEquilibriumError where the model has no equilibrium."""
         whole, tip = (0.0, self.observer.tip), self.observer.tip
         best = self._at(force, place)
-        usual = chi2_isf(SIGNIFICANCE, max(len(best.white) - 3, 1)) * self.observer.arm.widening
-        if best.chi2 > usual or self._acts(best, RARE):
+        if not self._is_usual(best.white) or self._acts(best, RARE):
             best, interval = self._searched(best)
             if interval != whole and self._is_needed(best):
                 return self._told(best, interval, acts=True)
         if best.place != tip:
             best = self._at(np.zeros(3), tip)
         return self._told(best, whole, self._is_needed(best))
+
+    def _is_usual(self, white: Floats) -> bool:
+        """Whether a whitened residual is no larger than by chance."""
+        usual = chi2_isf(SIGNIFICANCE, max(len(white) - 3, 1)) * self.observer.arm.widening
+        return bool(white @ white <= usual)
 
     def _wider(self, solution: _Solution) -> float:
         """Return the factor on the variances by the residual, and by the references."""
@@ -322,28 +333,41 @@ class _Fit:
     def _at(self, start: Floats, place: float) -> _Solution:
         """Return the likeliest force at a place."""
         self.factor = self._whitening(start, place, self._predicted(start, place))
-        step, prior = self.observer.step, self.observer.prior(place) ** -2 * np.eye(3)
+        prior = self.observer.prior(place) ** -2 * np.eye(3)
+        slopes = self._tangents if self.tangents else self._differences
+        force, white, columns = gauss_newton(
+            start, prior, lambda force: self._white(force, place), partial(slopes, place)
+        )
+        expected, normal = self._predicted(force, place), columns.T @ columns + prior
+        return _Solution(place, force, expected, white, float(white @ white), columns, normal)
 
-        def column(force: Floats, white: Floats, axis: Floats) -> Floats:
+    def _differences(self, place: float, force: Floats, white: Floats) -> Floats:
+        """Return the whitened Jacobian (r, 3) [1/N] across a step, as far as a fold lets it."""
+        step = self.observer.step
+
+        def column(axis: Floats) -> Floats:
             try:
                 return (white - self._white(force + step * axis, place)) / step
             except NoEquilibriumError:
                 return (self._white(force - step * axis, place) - white) / step
 
-        force, white, columns = gauss_newton(
-            start,
-            prior,
-            lambda force: self._white(force, place),
-            lambda force, white: np.array([column(force, white, axis) for axis in np.eye(3)]).T,
-        )
-        expected, normal = self._predicted(force, place), columns.T @ columns + prior
-        return _Solution(place, force, expected, white, float(white @ white), columns, normal)
+        return np.array([column(axis) for axis in np.eye(3)]).T
+
+    def _tangents(self, place: float, force: Floats, _: Floats) -> Floats:
+        """Return it at a point: a step may cross a kink of friction, or have no equilibrium."""
+        observer, shapes, slopes = self.observer, self.observer.shapes, None
+        if self.markers and shapes is not None:
+            predictor, near = observer.arm.predictor, SettledShapes(shapes.inputs, shapes.state)
+            predictor.inputs = self.inputs
+            slopes = predictor.tangent(observer.point(force, place), observer.frees, near)
+        return np.asarray(self.factor @ solved(slopes).markers.reshape(3, -1).T[self.rows])
 
     def _told(self, best: _Solution, interval: tuple[float, float], acts: bool) -> Contact:
         """Return a solution with its doubt."""
         if self.markers:
             self.observer.slopes = np.zeros((len(self.rows), 3))
             self.observer.slopes[self.rows] = np.linalg.solve(self.factor, best.columns)
+        self.explains = self._is_usual(best.white)
         self._predicted(best.force, best.place)  # the last one may be another's
         point = self.observer.point_at(best.place)
         mean, covariance = self._spread(best, self._wider(best))
