@@ -249,6 +249,22 @@ def test_a_contact_is_told_with_its_place_and_ends(name, exact, part):
     assert np.median(off) <= 0.05 * robot.length and max(off) <= 0.25 * robot.length
 
 
+@pytest.mark.parametrize('name', FINE)
+def test_the_covariance_of_a_force_counts_that_its_place_is_known_to_an_interval(name):
+    """Elsewhere a force has another lever: with the likeliest place alone, at most 6 hold."""
+    robot, random, held = replace(FINE[name], exact=True), np.random.default_rng(3), []
+    observer = ContactObserver(untaught(robot))
+    for tensions in postures(16, 11, robot):
+        force = 0.008 * random.normal(size=3) / np.sqrt(3.0)
+        touch = dict(zip(('force_x', 'force_y', 'force_z'), force.tolist(), strict=True))
+        pushed = robot.with_effect('point_load', {'arc_length': 0.6 * robot.length, **touch})
+        seen = Model(pushed).shape(tensions).positions
+        told = observer.update(tensions, seen + random.normal(0.0, NOISE, seen.shape))
+        off = told.force - force
+        held.append(off @ np.linalg.solve(told.covariance, off) < 7.8)  # chi2 of 3, 95 %
+    assert sum(held) >= 13, '12 or fewer of 16 by chance once in a hundred'
+
+
 def test_a_force_near_kinks_of_friction_is_found_by_tangents_where_a_step_misleads():
     """By steps alone each of these four leaves a marker 6 mm off or more."""
     arm, random = untaught(replace(FINE['planar'], exact=True)), np.random.default_rng(1)

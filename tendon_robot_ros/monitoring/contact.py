@@ -20,7 +20,9 @@ by chance. Where nothing tells it (a single marker, wire pulls), and where nothi
 significantly, it is that of the whole arm and the force the one as if at the tip.
 
 Along the line from a place to the base a force hardly bends the arm, and f is not linear: mean and
-covariance are those of the posterior, integrated numerically along that axis.
+covariance are those of the posterior, integrated numerically along that axis. The force that is
+told belongs to the likeliest place; its covariance is the mean square error over all places, each
+as likely as the profile says, because a force elsewhere has another lever.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -71,7 +74,7 @@ class Contact:
     """The force on the arm in the base frame, and its place."""
 
     force: Floats  # (3,) [N]
-    covariance: Floats  # (3, 3) [N²] at that place
+    covariance: Floats  # (3, 3) [N²] mean square error, wherever it acts
     place: float  # [m] arc length
     interval: tuple[float, float]  # [m] of the place, 95 %
     point: Floats  # (3,) [m] of the arm at the place, as the tracker sees it
@@ -218,6 +221,14 @@ class _Solution:
     normal: Floats  # (3, 3) [1/N²] information of measurement and prior
 
 
+class _Profile(NamedTuple):
+    """The likeliest force at every place."""
+
+    costs: Floats  # (PLACES,)
+    forces: Floats  # (PLACES, 3) [N]
+    normal: Floats  # (PLACES, 3, 3) [1/N²] information of measurement and prior
+
+
 @dataclass
 class _Fit:
     """Fit of force and place to one measurement."""
@@ -240,9 +251,9 @@ class _Fit:
         whole, tip = (0.0, self.observer.tip), self.observer.tip
         best = self._at(force, place)
         if not self._is_usual(best.white) or self._acts(best, RARE):
-            best, interval = self._searched(best)
+            best, interval, profile = self._searched(best)
             if interval != whole and self._is_needed(best):
-                return self._told(best, interval, acts=True)
+                return self._told(best, interval, True, profile)
         if best.place != tip:
             best = self._at(np.zeros(3), tip)
         return self._told(best, whole, self._is_needed(best))
@@ -282,8 +293,8 @@ class _Fit:
         least = self._wider(solution) * chi2_isf(ODD_PROBABILITY, 3)
         return bool(free @ free - self._cost(solution) > least)
 
-    def _searched(self, best: _Solution) -> tuple[_Solution, tuple[float, float]]:
-        """Return the solution at the likeliest place, and the interval of the place [m]."""
+    def _searched(self, best: _Solution) -> tuple[_Solution, tuple[float, float], _Profile | None]:
+        """Return the likeliest solution, the interval of its place [m], and the profile."""
         places, interval = self.observer.places, (0.0, self.observer.tip)
         # within a cell a force is only statically the same as in the arm, which bows along it
         half = 0.5 * float(self.observer.arm.robot.cell_lengths.max())
@@ -292,7 +303,7 @@ class _Fit:
             profile = self._profile(best) if self.markers and len(best.white) > 3 else None
             if profile is None:
                 break
-            costs, forces = profile
+            costs, forces, _ = profile
             lowest = int(np.argmin(costs))
             alike = costs < costs[lowest] + self._wider(best) * chi2_isf(SIGNIFICANCE, 1)
             first, last = places[np.flatnonzero(alike)[[0, -1]]] + half * np.array([-1.0, 1.0])
@@ -308,10 +319,10 @@ class _Fit:
                     continue
             self.factor, self.lacked = whitening  # those of the best
             break
-        return best, interval
+        return best, interval, profile
 
-    def _profile(self, solution: _Solution) -> tuple[Floats, Floats] | None:
-        """Return the cost (PLACES,) and the likeliest force (PLACES, 3) [N] at every place."""
+    def _profile(self, solution: _Solution) -> _Profile | None:
+        """Return the force at every place, linear about a solution."""
         slopes = self.observer.along(solution.force, solution.place, self.inputs)
         if slopes is None:
             return None
@@ -322,7 +333,7 @@ class _Fit:
         normal = columns.swapaxes(1, 2) @ columns + prior
         gradient = columns.swapaxes(1, 2) @ target
         forces = np.linalg.solve(normal, gradient[..., None])[..., 0]
-        return target @ target - (gradient * forces).sum(axis=1), forces
+        return _Profile(target @ target - (gradient * forces).sum(axis=1), forces, normal)
 
     def _cost(self, solution: _Solution) -> float:
         """Return the cost of a solution with the present covariance."""
@@ -362,8 +373,14 @@ class _Fit:
             slopes = predictor.tangent(observer.point(force, place), observer.frees, near)
         return np.asarray(self.factor @ solved(slopes).markers.reshape(3, -1).T[self.rows])
 
-    def _told(self, best: _Solution, interval: tuple[float, float], acts: bool) -> Contact:
-        """Return a solution with its doubt."""
+    def _told(
+        self,
+        best: _Solution,
+        interval: tuple[float, float],
+        acts: bool,
+        profile: _Profile | None = None,
+    ) -> Contact:
+        """Return a solution with its doubt, also of the place if there is a profile of it."""
         if self.markers:
             self.observer.slopes = np.zeros((len(self.rows), 3))
             self.observer.slopes[self.rows] = np.linalg.solve(self.factor, best.columns)
@@ -371,6 +388,8 @@ class _Fit:
         self._predicted(best.force, best.place)  # the last one may be another's
         point = self.observer.point_at(best.place)
         mean, covariance = self._spread(best, self._wider(best))
+        if profile is not None:
+            covariance = self._anywhere(best, covariance, profile)
         off = float(np.nanmax(np.abs(self.measured - best.expected - self.lacked)))
         return Contact(mean, covariance, best.place, interval, point, off, acts)
 
@@ -403,6 +422,19 @@ class _Fit:
         around = off.T @ (weights[:, None] * off)
         step = sd * (SPREAD[1] - SPREAD[0]) * worst  # each place stands for all within a step
         return mean, around + np.outer(step, step) / 12.0 + (known * values[:2]) @ known.T
+
+    def _anywhere(self, told: _Solution, covariance: Floats, profile: _Profile) -> Floats:
+        """
+        Return the mean square error [N²] of a force, of covariance [N²], that acts anywhere.
+
+        The force at another place is spread as that at the likeliest one, in standard deviations
+        of the linear model: the axis along which it hardly shows turns with the place.
+        """
+        here, roots = np.linalg.inv(_spread_root(told.normal)), _spread_root(profile.normal)
+        weights = softmax(-0.5 * profile.costs / self._wider(told))
+        off = profile.forces - told.force
+        spreads = roots @ (here @ covariance @ here) @ roots
+        return np.asarray(np.tensordot(weights, spreads, 1) + (weights * off.T) @ off)
 
     def _predicted(self, force: Floats, place: float) -> Floats:
         """Return the prediction under a force at a place."""
@@ -451,3 +483,10 @@ class _Motions:
     rows: Bools  # (3 J,) of visible coordinates
     expected: Floats  # (3 J,) [m]
     moved: float  # [m] motion of the arm by the load
+
+
+def _spread_root(information: Floats) -> Floats:
+    """Return the symmetric roots (..., 3, 3) of the inverse of information."""
+    values, axes = np.linalg.eigh(information)
+    values = np.maximum(values, np.finfo(float).eps * values[..., -1:])  # below is rounding
+    return np.asarray((axes / np.sqrt(values)[..., None, :]) @ axes.swapaxes(-1, -2))
