@@ -127,8 +127,7 @@ def stiff_wires(chain, inputs, target, solver, slopes, state_slopes, steps_max):
     """
     Find tensions (m,) [N] >= 0 whose wire pulls are `target` (m,) [m]; NaN: a slack wire.
 
-    Returns the largest remaining gap [m] at the equilibrium that these tensions have, a stable
-    one; infinite where the model finds none.
+    Returns whether it finds them, at an equilibrium stable or not: see `held_gap`.
 
     Parameters
     ----------
@@ -147,14 +146,14 @@ def stiff_wires(chain, inputs, target, solver, slopes, state_slopes, steps_max):
     """
     f, moved, trial = np.empty(chain.m), np.empty(chain.m), np.empty(chain.m)
     if not pull_residuals(chain, inputs, target, solver, f, solver.bend):
-        return math.inf
+        return False
     damping, settled = 1e-10, layout.BEND_TOLERANCE * chain.n * chain.radius
     sprung = stretches(chain)  # so that slopes change little
     fresh, stale = False, not sprung or math.isnan(slopes[0, 0])
     for _ in range(steps_max):
         error = violation(inputs, target, f)
         if error < settled * settled:  # as far as bends are known
-            break
+            return True
         if stale:
             pull_slopes(chain, inputs, target, solver, state_slopes, slopes)
             fresh, stale = True, False
@@ -175,7 +174,17 @@ def stiff_wires(chain, inputs, target, solver, slopes, state_slopes, steps_max):
         damping, stale, fresh = max(0.1 * damping, 1e-12), new > 0.1 * error or not sprung, False
         correct(slopes, moved - f, trial - inputs)
         accept(chain, solver, trial, moved, inputs, f)
-    settings = floats(solver.work.settings)
+    return False
+
+
+@compiled
+def held_gap(chain, inputs, target, solver):
+    """
+    Return the largest gap [m] of the wires at the equilibrium that these tensions (m,) [N] hold.
+
+    A stable one, by all methods; infinite where the model finds none.
+    """
+    settings, f = floats(solver.work.settings), np.empty(chain.m)
     settings[layout.EVERY_METHOD] = settings[layout.STABLE] = 1.0
     found, gap = pull_residuals(chain, inputs, target, solver, f, solver.bend), 0.0
     settings[layout.EVERY_METHOD] = settings[layout.STABLE] = 0.0
@@ -407,10 +416,11 @@ def meet_pulls(
                 left = elastic_wires(chain, trial, target, solver, own, rate, soft, steps)
                 stretched = left < STRETCH_ERROR_N * soft  # stiffer springs do no better
                 spring += 1
+            only = False  # springs have one solution
             if stretched or always:
-                left = stiff_wires(chain, trial, target, solver, own, rate, steps)
-                gaps[b] = min(gaps[b], left)
-            if gaps[b] < layout.GAP_ACCEPTED_M:
+                only = stiff_wires(chain, trial, target, solver, own, rate, steps) and sprung
+                gaps[b] = min(gaps[b], held_gap(chain, trial, target, solver))
+            if gaps[b] < layout.GAP_ACCEPTED_M or only:
                 break
         if not gaps[b] < layout.GAP_ACCEPTED_M:
             return b
