@@ -13,9 +13,10 @@ from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.data import join, load_dataset, save_dataset
 from tendon_robot_ros.data.bag_writer import export_bag
 from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.inference.candidates import why_untested
 from tendon_robot_ros.inference.noise import estimate_noise, input_slopes
-from tendon_robot_ros.inference.predict import Predictor
+from tendon_robot_ros.inference.predict import Predictor, frees_of
 from tendon_robot_ros.model.model import Model
 from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
 from tendon_robot_ros.simulation.plant import make_plant
@@ -144,6 +145,28 @@ def test_pulled_wires_are_visited_as_well():
     )
     shown = Predictor(data, robot, simulated.CATALOGUE).markers({})
     np.testing.assert_allclose(shown, data.mean, atol=1e-6)
+
+
+@pytest.mark.parametrize('absent', [False, True])
+@pytest.mark.parametrize('kind', ['tension', 'displacement'])
+def test_tangents_of_visits_are_what_small_changes_do(kind, absent):
+    """Of bends that remember, and where a fit only frees them; postures are visited again."""
+    robot = planar(4, {} if absent else {'bending_hysteresis': {'lag': 0.02}})
+    pulls = np.array([[4e-3, np.nan], [np.nan, 3e-3], [2e-3, np.nan], [np.nan, 5e-3]])
+    inputs = INPUTS if kind == 'tension' else pulls
+    data = simulate(robot, inputs, path='visits', trials=3, seed=2, input=kind)
+    predictor = Predictor(data, robot, load_catalogue())
+    assert len(data.visits.rows) > len(data.postures)
+    names = ['bending_hysteresis', 'tendon_stiffness', 'base_misalignment']
+    frees = list(frees_of(names, predictor.model.catalogue, robot))
+    point = {free: predictor.start(free) for free in frees}
+    predictor.markers(point)
+    near = predictor.settled
+    for free, moves in zip(frees, predictor.tangent(point, frees, near).markers, strict=True):
+        step = 1e-4 * free.parameter.typical
+        up, down = (predictor.markers({**point, free: point[free] + s}) for s in (step, 0.0))
+        off, settled_within = np.abs(moves - (up - down) / step).max(), 1e-10 / step
+        assert off < 1e-2 * np.abs(moves).max() + settled_within, free.key
 
 
 def test_joined_visits_are_predicted_part_by_part():

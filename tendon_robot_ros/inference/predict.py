@@ -165,7 +165,7 @@ class SettledShapes:
     state: Floats  # (P, 3n) [rad], bends and twists
     slopes: WireSlopes | None = None  # by the tensions, where wire pulls are commanded
 
-    def of(self, rows: Ints) -> SettledShapes:
+    def of(self, rows: Ints | slice) -> SettledShapes:
         """Return those of some postures."""
         slopes = None if self.slopes is None else self.slopes.of(rows)
         return SettledShapes(self.tensions[rows], self.state[rows], slopes)
@@ -269,15 +269,15 @@ class Predictor:
         Return the derivatives of equilibria by freed parameters, without solving again.
 
         By the implicit function theorem (`model.derivatives.follow`); where wire pulls are
-        commanded, tensions answer so that taut wires keep theirs. None where friction remembers,
-        or bends do and postures have several visits: only further solutions show it.
+        commanded, tensions answer so that taut wires keep theirs. None where friction remembers:
+        only further solutions show it.
         """
         catalogue = self.model.catalogue
         stages = {catalogue[free.effect].stage for free in frees if free.effect in catalogue}
         if 'memory' in stages or self.model.friction_remembers:
             return None
         if self.carries or (stages & PATH_STAGES and self.dataset.path != 'from_straight'):
-            return None if self.visits is not None else self._path_tangent(point, frees, settled)
+            return self._path_tangent(point, frees, settled)
 
         def moves(part: Conditions) -> list[Move]:
             return [self.moved(point, part, free) for free in frees]
@@ -340,51 +340,71 @@ class Predictor:
 
     def has_slopes(self, effect: Effect) -> bool:
         """Whether derivatives show an effect that is absent; else only further solutions do."""
-        follows = effect.stage in PATH_STAGES and self.visits is not None
-        return effect.stage not in ('torsion', 'memory') and not follows
+        return effect.stage not in ('torsion', 'memory')
 
     def along_path(
         self, point: Point, settled: SettledShapes
     ) -> Callable[[Point], tuple[Floats, SettledShapes]]:
         """
-        Return a function that predicts markers (P, J, 3) [m] of a sequence near a point.
+        Return a function that predicts markers (P, J, 3) [m] of a path near a point.
 
-        To first order, at the cost of one step for every posture (`derivatives.path_near`).
+        To first order, at the cost of one step for every visit (`derivatives.path_near`).
         Postures that only lie on the way are not shown.
         """
         paths, by_pulls = [], self.dataset.input == 'displacement'
-        settled = self._on_the_way(point, settled)
-        for part in self.parts:
-            self.set_parameters(point, part)
-            start = settled.of(part.rows)
-            paths.append(path_near(self.model, start.tensions, start.state, by_pulls))
+        for part, order, visits in self._on_the_way(point, settled):
+            legs = []
+            for leg in order.legs():
+                start = visits.of(leg)
+                legs.append((leg, path_near(self.model, start.tensions, start.state, by_pulls)))
+            paths.append((part, order, legs))
 
-        def near(moved: Point) -> tuple[Floats, SettledShapes]:
+        def near_point(moved: Point) -> tuple[Floats, SettledShapes]:
             placed = np.zeros((len(self.inputs), len(self.dataset.markers), 3))
             then = SettledShapes(np.empty_like(settled.tensions), np.empty_like(settled.state))
-            for part, path in zip(self.parts, paths, strict=True):
+            for part, order, legs in paths:
                 self.set_parameters(moved, part)
-                along = path(self.given(self.inputs)[part.rows])
-                seen = self._shown[part.rows]
-                placed[part.rows[seen]] = self.see(along.of(seen))
-                then.tensions[part.rows], then.state[part.rows] = along.inputs, along.state
+                inputs = self.given(self.inputs)[part.rows[order.rows]]
+                along = ShapeBatch.joined([near(inputs[leg]) for leg, near in legs])
+                seen = np.zeros((len(inputs), *placed.shape[1:]))
+                seen[order.counts] = self.see(along.of(order.counts))
+                placed[part.rows], last = order.mean(seen), along.of(order.last)
+                then.tensions[part.rows], then.state[part.rows] = last.inputs, last.state
             return placed, then
 
-        return near
+        return near_point
 
-    def _on_the_way(self, point: Point, settled: SettledShapes) -> SettledShapes:
-        """Return the equilibria of all postures, those between the measured ones included."""
+    def _on_the_way(
+        self, point: Point, settled: SettledShapes
+    ) -> Iterator[tuple[Conditions, Visits, SettledShapes]]:
+        """Yield each part, its path and the equilibria of its visits; the model is set to them."""
         every = copy(self)
-        every._shown = np.ones_like(self._shown)
-        if self._shown.all() or self.carries or every.markers(point, near=settled) is None:
-            return settled
-        assert every.settled is not None
-        return every.settled
+        every._shown = np.ones_like(self._shown)  # those between the measured ones included
+        known, inputs = self._shown.all() or self.carries, self.given(self.inputs)
+        if not known and every.markers(point, near=settled) is not None:
+            assert every.settled is not None
+            settled = every.settled
+        for part in self.parts:
+            self.set_parameters(point, part)
+            order = self._order(part)
+            visits = settled.of(part.rows[order.rows])
+            if self.carries and len(order.rows) > len(part.rows):  # each time it is another one
+                shapes = self._along(part, inputs, settled)
+                visits = visits if shapes is None else SettledShapes(shapes.inputs, shapes.state)
+            yield part, order, visits
+
+    def _order(self, part: Conditions) -> Visits:
+        """Return the visits to a part, or its sequence: what is on the way does not count."""
+        if self.visits is not None:
+            return self.visits.among(part.rows)
+        rows, names = np.arange(len(part.rows)), self.dataset.postures
+        commands = tuple(names[row] for row in part.rows.tolist())
+        return Visits(commands, rows, rows == 0, self._shown[part.rows], rows)
 
     def _path_tangent(
         self, point: Point, frees: Sequence[FreeParameter], settled: SettledShapes
     ) -> Tangent:
-        """Return the derivatives of a sequence that remembers its bends; see `tangent`."""
+        """Return the derivatives of a path of an arm that remembers its bends; see `tangent`."""
         known = (free for free in frees if free.effect in self.model.catalogue)
         start = {**{free: self.value(free) for free in known}, **point}
         near, columns = self.along_path(start, settled), []
@@ -432,15 +452,20 @@ class Predictor:
         for conditions in self.parts:
             self.set_parameters(point, conditions)
             part = self.predicted(conditions)
-            start = None if near is None else near.of(part.rows)
-            visits, own = self._visits(part), inputs[part.rows]
-            if visits is None:
-                yield part, self.shapes(own, start)
-                continue
-            rows = [visits.rows[leg] for leg in visits.legs()]
-            legs = [self.shapes(own[leg], start and start.of(leg)) for leg in rows]
-            settled = [leg for leg in legs if leg is not None]
-            yield part, ShapeBatch.joined(settled) if len(settled) == len(legs) else None
+            yield part, self._along(part, inputs, near)
+
+    def _along(
+        self, part: Conditions, inputs: Floats, near: SettledShapes | None
+    ) -> ShapeBatch | None:
+        """Return the shapes of all visits to a part; None where one has no equilibrium."""
+        start = None if near is None else near.of(part.rows)
+        visits, own = self._visits(part), inputs[part.rows]
+        if visits is None:
+            return self.shapes(own, start)
+        rows = [visits.rows[leg] for leg in visits.legs()]
+        legs = [self.shapes(own[leg], start and start.of(leg)) for leg in rows]
+        settled = [leg for leg in legs if leg is not None]
+        return ShapeBatch.joined(settled) if len(settled) == len(legs) else None
 
     def predicted(self, part: Conditions) -> Conditions:
         """Return a part with those of its postures that the present model has to predict."""
