@@ -19,7 +19,7 @@ from ..robot import Robot
 from ..robot.estimates import natural_sizes
 from .candidates import Candidate, Ranked, candidates_of, is_tested, nuisances_of
 from .fit import Fit, Nuisance
-from .fitter import BEST_FEW, FAILURES, GAINS_TO_COME, Descent, Fitter
+from .fitter import FAILURES, GAINS_TO_COME, Descent, Fitter
 from .imperfections import REMAINDER, BuiltPredictor, Imperfections, imperfections
 from .marginal import RandomEffects
 from .noise import VARIANCE_GAIN_MIN, Noise, Whitener, estimate_noise, input_slopes, relative_error
@@ -305,11 +305,12 @@ class Session(Question):
     def fit_joint(
         self, candidates: Sequence[Candidate], starts: Mapping[str, Fit], what: str
     ) -> list[Ranked]:
-        """Fit combinations from fits of a part; the best few also from no imperfections."""
+        """Fit combinations from fits of a part; the best also from no imperfections."""
         fits = self.fit_all(candidates, starts, what)
         if not self.random.kinds or not fits:
             return fits
-        near = [r.candidate for r in sorted(fits, key=lambda r: r.score)[:BEST_FEW]]
+        top = min(r.score for r in fits) + NEAR_SCORE
+        near = [r.candidate for r in fits if r.score <= top]
         return better(fits, self.fit_all(near, {c.label: starts[c.label].point for c in near}))
 
     def score(self, score: float) -> float:
