@@ -12,10 +12,12 @@ from tendon_robot_ros import diagnose
 from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.data import save_dataset
 from tendon_robot_ros.inference.discrepancy import since
-from tendon_robot_ros.inference.predict import Predictor
+from tendon_robot_ros.inference.imperfections import BuiltPredictor, imperfections
+from tendon_robot_ros.inference.marginal import SIZE_MAX
+from tendon_robot_ros.inference.predict import Predictor, frees_of
 from tendon_robot_ros.robot import dump_robot
 from tendon_robot_ros.simulation.hidden import Workmanship
-from tendon_robot_ros.simulation.measurements import simulate
+from tendon_robot_ros.simulation.measurements import SimulatedNoise, simulate
 from tendon_robot_ros.simulation.plant import make_plant
 from tendon_robot_ros.workspace.postures import default_postures
 
@@ -75,6 +77,44 @@ def test_deviations_of_near_inputs_cancel_in_part_and_those_of_far_ones_stay():
     assert after[0] < 0.1 * before[0]
     assert after[1] == pytest.approx(before[1], rel=0.1)
     assert near.reference.doubt[0] < 0.1 * near.reference.error < 0.2 * near.reference.doubt[1]
+
+
+@pytest.mark.parametrize('arm', ARMS)
+def test_what_an_arm_deviated_is_as_measured_however_many_markers_it_has(arm):
+    """Closed form: of noise alone its root mean square at the tip, which is that of a mean."""
+    robot = replace(ARMS[arm], exact=True)
+    noise = SimulatedNoise(position=3e-4, setting=0.0, trial=0.0)
+    for count in (3, 30):
+        places = robot.length * (np.arange(count) + 1) / count
+        old, new = (
+            simulate(robot, default_postures(robot, 40), noise=noise, seed=seed, markers=places)
+            for seed in (1, 2)
+        )
+        expected = 3e-4 * np.sqrt(3.0 / old.trials.mean())
+        assert since(new, old).reference.error == pytest.approx(expected, rel=0.3)
+
+
+@pytest.mark.parametrize('kind', ['tension', 'displacement'])
+@pytest.mark.parametrize('arm', ARMS)
+def test_what_a_reference_leaves_open_of_an_arm_moves_the_new_postures(arm, kind):
+    """Under a load as well; it is less than what is plausible of an arm that nobody has seen."""
+    robot, inputs = ARMS[arm], default_postures(ARMS[arm], 8, 0, kind)
+    old, new = (
+        simulate(make_plant(robot, hidden, seed=1), inputs, input=kind, seed=seed)
+        for seed, hidden in enumerate(({}, LOAD))
+    )
+    left = since(new, old)
+    alone = BuiltPredictor(Predictor(replace(left, reference=None), left.robot, CATALOGUE))
+    arm_now = BuiltPredictor(Predictor(left, left.robot, CATALOGUE))
+    names = frees_of(['tip_load'], CATALOGUE, robot)
+    point = {free: LOAD['tip_load'].get(free.key, 0.0) for free in names}
+    each, both = imperfections(alone, point), imperfections(arm_now, point)
+    root = np.concatenate([left.reference.spread[kind.name] for kind in each.kinds[:-1]])
+    own = np.tensordot(root.T, each.moves[: len(root)], 1)
+    assert both.kinds[0].plausible == 1.0
+    np.testing.assert_allclose(both.moves[: len(own)], own, atol=1e-6 * np.abs(own).max())
+    usual = [kind.plausible for kind in each.kinds[:-1] for _ in range(len(kind))]
+    assert (np.linalg.norm(root, axis=1) < SIZE_MAX * np.array(usual)).all()
 
 
 @pytest.mark.parametrize('arm', ARMS)

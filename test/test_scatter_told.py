@@ -178,6 +178,18 @@ def test_an_interval_is_that_of_all_sizes_that_an_imperfection_may_have(times):
     assert told == pytest.approx(np.average(s**2, weights=density) / 6, rel=0.1)
 
 
+def test_the_spread_of_imperfections_is_a_root_of_their_covariance():
+    """Closed form: of a member of the sd s that a column of length c shows 1 / (1 / s² + c²)."""
+    kinds = [Kind('cell_stiffness', '1', 0.03, tuple('abc')), Kind('channel_gain', '1', 0.01, 'd')]
+    lengths, sizes = np.array([0.0, 20.0, 100.0, 100.0]), np.array([0.03, 0.01])
+    random = RandomEffects(np.diag(lengths), np.array([0, 0, 0, 1]), kinds)
+    plain = Fit((), (), np.zeros(0), np.ones(4), np.zeros((4, 0)), np.zeros((0, 0, 3)))
+    spread = with_imperfections(plain, random, sizes, {}).spread
+    root = np.concatenate([spread['cell_stiffness'], spread['channel_gain']])
+    expected = 1.0 / (sizes[[0, 0, 0, 1]] ** -2 + lengths**2)  # as before where nothing shows it
+    np.testing.assert_allclose(root @ root.T, np.diag(expected), atol=1e-12)
+
+
 def test_sizes_at_all_their_bounds_leave_an_interval():
     """Of an arm that nothing describes: no other sizes than the largest are drawn then."""
     kinds = [Kind(f'kind {i}', '1', 0.01, ('only',)) for i in range(12)]

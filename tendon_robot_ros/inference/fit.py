@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag, null_space
 
 from ..common.arrays import Bools, Floats, Ints
 from .imperfections import Kind, Members
@@ -117,12 +118,20 @@ class Fit:
         """
         Return how well the imperfections are known: kind -> (members, r) [unit].
 
-        A root of their covariance: they are the likeliest ones plus it times r unit normals.
+        A root of their covariance: they are the likeliest ones plus it times r unit normals. In
+        directions that do not show they are as uncertain as before.
         """
-        random, first = self.built.random, len(self.all_frees)
+        random, sizes, first = self.built.random, self.built.sizes, len(self.all_frees)
         own = slice(first, first + len(random.others))
         values, vectors = np.linalg.eigh(self.covariance[own, own])
-        return random.named(vectors * np.sqrt(np.maximum(values, 0.0)), self.built.sizes)
+        seen = random.named(vectors * np.sqrt(np.maximum(values, 0.0)), sizes)
+        if not seen:
+            return {}
+        kinds = zip(seen, random.mixtures, sizes.tolist(), strict=False)  # no remainder
+        unseen = [null_space(mix.T) * size for _, mix, size in kinds]
+        root = np.hstack([np.concatenate([*seen.values()]), block_diag(*unseen)])
+        ends = np.cumsum([len(one) for one in seen.values()])[:-1]
+        return dict(zip(seen, np.split(root, ends), strict=True))
 
     def started_from(self, around: Members, sizes: Floats) -> Fit:
         """Return the fit as a start of another one, from other imperfections."""
