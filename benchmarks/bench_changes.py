@@ -14,6 +14,7 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from bench_pushes import arm
 from machine import machine, tell
 
@@ -38,8 +39,11 @@ def changes(robot: Robot) -> dict[str, dict[str, dict[str, float]]]:
     return {'nothing': {}, 'load': load, 'stiffer': stiff, 'load and tracker': load | moved}
 
 
-def said(robot: Robot, change: dict[str, dict[str, float]], kind: str, seed: int) -> str:
+def said(
+    robot: Robot, change: dict[str, dict[str, float]], kind: str, seed: int, markers: int
+) -> str:
     """Return the verdict on a drawn arm, and whether the interval of a load holds."""
+    places = robot.length * (np.arange(markers) + 1) / markers if markers else None
     rows = default_postures(robot, POSTURES, seed, kind, 'from_straight')
     old, new = (
         simulate(
@@ -47,6 +51,7 @@ def said(robot: Robot, change: dict[str, dict[str, float]], kind: str, seed: int
             rows,
             input=kind,
             seed=2 * seed + trial,
+            markers=places,
         )
         for trial, hidden in enumerate(({}, change))
     )
@@ -68,13 +73,18 @@ def main() -> int:
     parser.add_argument('--cases', type=int, default=6, help='of each change and arm; default 6')
     parser.add_argument('--robots', nargs='+', default=['kato_10_1_single', 'spatial_3'])
     parser.add_argument('--input', choices=INPUTS, default='tension')
+    parser.add_argument('--first', type=int, default=0, help='seed')
+    parser.add_argument('--markers', type=int, default=0, help='evenly spaced; default: all')
     parser.add_argument('--json', type=Path)
     options = parser.parse_args()
     figures: dict[str, object] = {}
     for name in options.robots:
         robot = replace(arm(name), gravity=(0.0, 0.0, 0.0))
         for key, change in changes(robot).items():
-            verdicts = [said(robot, change, options.input, seed) for seed in range(options.cases)]
+            seeds = range(options.first, options.first + options.cases)
+            verdicts = [
+                said(robot, change, options.input, seed, options.markers) for seed in seeds
+            ]
             figures[f'{name}, {key}'] = dict(Counter(verdicts))
             print(f'{name}, {key}: {figures[f"{name}, {key}"]}', file=sys.stderr, flush=True)
     tell(figures | {'machine': machine()}, options.json)

@@ -107,7 +107,8 @@ def case(robot, full, seed, level, references, frames, where='tip', lacks=None):
     }
     if where != 'tip':
         middle = (robot.cells // 2 - 0.5) / robot.cells * robot.length
-        hidden = {'point_load': {'arc_length': middle, 'force_x': float(full * (1 + seed % 3))}}
+        force = np.array([full * (1 + seed % 3), 0.0, 0.0])
+        hidden = {'point_load': {'arc_length': middle, 'force_x': float(force[0])}}
     hidden |= (lacks := lacks or {})
     plant = make_plant(robot, hidden, seed=seed, work=Workmanship().times(level))
     arm, markers = watched(robot, seed, level, references, frames, lacks)
@@ -180,6 +181,7 @@ def bench(robot, seeds, level, references, frames, lacks):
         'ellipsoids of 95 % hold [%]': percent([c['ellipsoid'] for c in tips]),
         'intervals hold [%]': percent([c['holds'] for c in tips]),
         'told below nine tenths of the arm [%]': percent([c['place'] < 0.9 for c in tips]),
+        'ellipsoids of a touch at the middle hold [%]': percent([c['ellipsoid'] for c in sides]),
         'touch elsewhere told [%]': percent([c['place'] < 0.9 for c in sides]),
         'within a sixth of the arm [%]': percent(near),
         'update at a new posture, and again, median [ms of a processor]': medians(
