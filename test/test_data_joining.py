@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import simulated
 import small_dataset
-from arms import planar
+from arms import planar, spatial
 from simulated import measure, postures
 
 from tendon_robot_ros.common.errors import DataSetError, EffectError
@@ -14,9 +14,21 @@ from tendon_robot_ros.comparison.compare import compare, equilibria
 from tendon_robot_ros.data import join, load_dataset, save_dataset
 from tendon_robot_ros.data.dataset import EarlierRecording
 from tendon_robot_ros.diagnosis.add import add_effects
-from tendon_robot_ros.inference.imperfections import BuiltPredictor, imperfections
+from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.inference.imperfections import (
+    ANEW,
+    POSITION,
+    ROTATION,
+    BuiltPredictor,
+    imperfections,
+)
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.robot.estimates import natural_sizes
+from tendon_robot_ros.simulation.hidden import Workmanship
+from tendon_robot_ros.simulation.measurements import simulate
+from tendon_robot_ros.simulation.plant import make_plant
+from tendon_robot_ros.workspace.postures import default_postures
 
 ROBOT = replace(planar(5), gravity=(0.0, 0.0, 0.0), exact=True)
 INPUTS = np.array([[0.0, 1.0], [1.4, 0.2], [0.3, 1.8], [2.2, 0.0], [1.0, 0.9]])
@@ -100,10 +112,49 @@ def test_imperfections_move_each_data_set_as_they_move_it_alone():
         imperfections(BuiltPredictor(Predictor(data, heavy, simulated.CATALOGUE)), {})
         for data in (join([free, weighed]), free, weighed)
     )
-    own = joined.owners < len(joined.kinds) - 1  # the remainder is another one in every posture
+    kinds = [joined.kinds[i].name for i in joined.owners]
+    anew = np.array([kind in ANEW.values() for kind in kinds])
+    # the remainder is another one in every posture
+    own = ~anew & (joined.owners < len(joined.kinds) - 1)
     for rows, single in ((slice(0, 5), alone[0]), (slice(5, 8), alone[1])):
         moves = single.moves[single.owners < len(single.kinds) - 1]
         np.testing.assert_allclose(joined.moves[own][:, rows], moves, rtol=1e-5, atol=1e-7)
+    for kind in (POSITION, ROTATION):  # of one recording they do not move the other
+        both = joined.moves[np.array(kinds) == kind]
+        first, second = np.split(joined.moves[np.array(kinds) == ANEW[kind]], 2)
+        np.testing.assert_allclose(first[:, :5], both[:, :5], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(second[:, 5:], both[:, 5:], rtol=1e-9, atol=1e-12)
+        assert not first[:, 5:].any() and not second[:, :5].any()
+
+
+def on_two_days(robot, input, seed, lacks, again=1.0):
+    """Return two recordings of an arm as built, the second with zeros and frame set again."""
+    rng, sets = np.random.default_rng(seed), []
+    for day, moved in enumerate((0.0, again)):
+        rows = default_postures(robot, 8, seed + day, input, 'from_straight')
+        plant = make_plant(robot, lacks, seed=seed, work=Workmanship())
+        one = simulate(plant, rows, input=input, seed=10 * seed + day)
+        turn = np.eye(3) + np.cross(np.eye(3), moved * rng.normal(0.0, np.radians(0.3), 3))
+        places = one.positions @ turn + moved * rng.normal(0.0, 5e-4, 3)
+        zeros = (input == 'displacement') * moved * rng.normal(0.0, 2e-4, rows.shape[1])
+        sets.append(replace(one, name=f'day {day}', positions=places, inputs=one.inputs + zeros))
+    return sets
+
+
+@pytest.mark.long
+@pytest.mark.parametrize('input', ['tension', 'displacement'])
+@pytest.mark.parametrize('robot', ['planar', 'spatial'])
+def test_zeros_and_trackers_frame_may_differ_between_recordings(robot, input):
+    """They are no effect that is missing, and one that is missing is named beside them."""
+    robot = {'planar': planar(5), 'spatial': spatial(4)}[robot]
+    robot = replace(robot, gravity=(0.0, 0.0, 0.0))
+    for seed in (1, 2):
+        same, again = (on_two_days(robot, input, seed, {}, moved) for moved in (0.0, 1.0))
+        assert diagnose(again).verdict is diagnose(same).verdict
+    old = on_two_days(robot, input, 3, {})
+    load = {'tip_load': {'force_x': 0.3 * natural_sizes(robot)['force']}}
+    found = diagnose(on_two_days(robot, input, 3, load), reference=old)
+    assert 'tip_load' in [effect.name for effect in found.effects]
 
 
 def test_a_known_load_gives_the_scale_of_forces():

@@ -26,6 +26,7 @@ from ..data import DataSet, DataSetLike, load_dataset
 from ..data.dataset import EarlierRecording
 from ..effects import CatalogueLike, load_catalogue
 from .crossval import described_by, predict
+from .imperfections import ANEW
 from .noise import NEGLIGIBLE
 from .predict import mean_inputs
 from .session import Question
@@ -99,7 +100,9 @@ def since(
     settled = session.dataset
     # a sequence has postures on its way of which not all markers, or none, were read
     seen = np.flatnonzero((settled.counts > 0).all(axis=1))
-    off = (settled.mean - predict(settled, found, session.catalogue)[1])[seen]
+    between = {kind: fit.members[kind] for kind in ANEW.values() if kind in fit.members}
+    moved = session.imperfections.moved(between)  # of several recordings
+    off = (settled.mean - moved - predict(settled, found, session.catalogue)[1])[seen]
     heights = settled.arc_lengths / described.length
     tracker = session.noise.position**2 / settled.counts[seen].mean(axis=1)  # (P,) [m²]
     all_noise = session.whitener.variance[seen].mean(axis=(1, 2))
@@ -107,13 +110,14 @@ def since(
     deviations = _DeviationProcess(
         np.nan_to_num(session.predictor.inputs[seen]), off, heights, driven, tracker
     )
+    spread = {kind: root for kind, root in fit.spread.items() if kind not in between}
     taken, doubt, noise = deviations.at(np.nan_to_num(mean_inputs(new)))
     return replace(
         new,
         robot=found,
         positions=new.positions - taken[:, None],
         reference=EarlierRecording(
-            old.name, deviations.error, doubt, noise, fit.spread, tuple(lacked)
+            old.name, deviations.error, doubt, noise, spread, tuple(lacked)
         ),
     )
 

@@ -24,9 +24,13 @@ from .predict import CELLS, Conditions, Point, Predictor, SettledShapes
 
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
+# Kinds that differ between joined recordings as well -> by how much, in each recording: zeros are
+# found, and trackers are placed, anew
+ANEW = {kind: f'{kind}_anew' for kind in (ZERO, POSITION, ROTATION)}
 EARLIER = 'earlier'  # what an earlier recording leaves open of all kinds, in unit normals
 REMAINDER = 'remainder'  # error without a cause, independent in every posture
-KINDS_WITH_FEW_MEMBERS = (GAIN, HOLE, ZERO, POSITION, ROTATION, EARLIER)  # or of known size
+# or of known size
+KINDS_WITH_FEW_MEMBERS = (GAIN, HOLE, ZERO, POSITION, ROTATION, *ANEW.values(), EARLIER)
 REMAINDER_SHAPES = 4  # [1] along the arm, because the others have a twentieth of the variance
 # Kind -> (unit, plausible sd where none is declared, step of its derivative)
 PLAUSIBLE_SIZES: dict[str, tuple[str, float, float]] = {
@@ -39,6 +43,7 @@ PLAUSIBLE_SIZES: dict[str, tuple[str, float, float]] = {
     POSITION: ('m', 5e-4, 1e-3),
     ROTATION: ('rad', math.radians(0.3), 1e-3),
 }
+PLAUSIBLE_SIZES |= {anew: PLAUSIBLE_SIZES[kind] for kind, anew in ANEW.items()}
 PLAUSIBLE_LENGTH = 0.2  # [m] of an arm; of a longer one lengths grow because its parts do
 STEP = 1e-6  # [1], [rad], [m] of differences without solving, because rounding is 1e-16
 BEND_MAX_RAD = 0.5  # [rad] of one cell, else the whole arm would be wrong: docs/inference.md
@@ -129,6 +134,10 @@ class BuiltPredictor(Predictor):
         super().__init__(predictor.dataset, predictor.robot, predictor.model.catalogue)
         self.axis = planar_axis(self.robot)
         self._offsets = self.model.arrays.offset.copy()
+        self._recordings = np.zeros(len(self.inputs), dtype=int)  # (P,) index of the part
+        for i, part in enumerate(self.parts):
+            self._recordings[part.rows] = i
+        self._recording = 0  # that the model is set to
         layout, effect = self.model.arrays.layout, self.model.catalogue[REST]
         self.rests = [layout.rows[REST, parameter.name] for parameter in effect.parameters]
 
@@ -138,7 +147,8 @@ class BuiltPredictor(Predictor):
         own, reference = self.around.get(EARLIER), self.dataset.reference
         if own is None or reference is None:
             return self.around
-        return {name: root @ own for name, root in reference.spread.items()}
+        rest = {name: sizes for name, sizes in self.around.items() if name != EARLIER}
+        return rest | {name: root @ own for name, root in reference.spread.items()}
 
     def kinds(self, every: bool = True) -> tuple[Kind, ...]:
         """
@@ -157,15 +167,22 @@ class BuiltPredictor(Predictor):
         labels[GAIN] = list(self.robot.inputs)  # under tensions, holes act as gains too
         if self.dataset.input == 'displacement':
             labels |= {HOLE: [t.name for t in self.robot.tendons], ZERO: list(self.robot.inputs)}
+        anew = {name: list('xyz') for name in (POSITION, ROTATION)}
+        if ZERO in labels:
+            anew[ZERO] = labels[ZERO]
+        recordings = [part.name for part, _ in self.dataset.divided]
+        for name, own in anew.items() if len(recordings) > 1 else ():
+            labels[ANEW[name]] = [f'{one} in {where}' for where in recordings for one in own]
         known = self.robot.tolerances
         labels |= {name: list('xyz') for name in (POSITION, ROTATION) if name not in known}
         if self.robot.exact and not every:
             labels = {name: labels[name] for name in (CELLS,) if name in known}
+        described = {ACROSS: KINK} | {anew: kind for kind, anew in ANEW.items()}
         kinds, larger = [], max(self.robot.length / PLAUSIBLE_LENGTH, 1.0)
         for name, members in labels.items():
             unit, plausible, _ = PLAUSIBLE_SIZES[name]
             usual = plausible * (larger if unit == 'm' else 1.0)
-            size = float(known.get(KINK if name == ACROSS else name, usual))
+            size = float(known.get(described.get(name, name), usual))
             if size > 0.0:
                 holes = name == GAIN and name not in known and self.dataset.input == 'tension'
                 beside = float(known.get(HOLE, PLAUSIBLE_SIZES[HOLE][1])) if holes else 0.0
@@ -176,6 +193,7 @@ class BuiltPredictor(Predictor):
         """Set the parameters and imperfections; see `Predictor.set_parameters`."""
         off, arrays, axis = self.members, self.model.arrays, self.axis
         super().set_parameters(point, part)
+        self._recording = int(self._recordings[part.rows[0]])
         arrays.cells[:, 1] *= 1.0 + off.get(CELLS, 0.0)
         arrays.offset[:] = self._offsets * (1.0 + off.get(HOLE, np.zeros(1))[None, :, None])
         kinks = np.zeros((self.robot.cells, 2))  # [rad] bends at rest
@@ -212,16 +230,25 @@ class BuiltPredictor(Predictor):
     def given(self, inputs: Floats) -> Floats:
         """Return the inputs (P, m) [N] or [m] that reach the arm."""
         off = self.members
-        return np.asarray(inputs * (1.0 + off.get(GAIN, 0.0)) + off.get(ZERO, 0.0))
+        zeros = self._in_recordings(ZERO, inputs.shape[1])[self._recordings]
+        return np.asarray(inputs * (1.0 + off.get(GAIN, 0.0)) + zeros)
 
     def see(self, shapes: ShapeBatch) -> Floats:
         """Return the markers (b, J, 3) [m] in the frame of the tracker, with its imperfections."""
-        placed, off = super().see(shapes), self.members
-        if ROTATION in off:
-            x, y, z = off[ROTATION].tolist()
-            across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # p @ it: turn x p
+        placed = super().see(shapes)
+        x, y, z = self._in_recordings(ROTATION, 3)[self._recording].tolist()
+        across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # p @ it: turn x p
+        if across.any():
             placed = placed + (placed.reshape(-1, 3) @ across).reshape(placed.shape)
-        return placed + off[POSITION] if POSITION in off else placed
+        return placed + self._in_recordings(POSITION, 3)[self._recording]
+
+    def _in_recordings(self, kind: str, count: int) -> Floats:
+        """Return the sizes (recordings, count) of a kind that may differ between recordings."""
+        off, sizes = self.members, np.zeros((len(self.parts), count))
+        sizes += off.get(kind, 0.0)
+        if len(self.parts) > 1 and ANEW[kind] in off:  # a single one is another recording
+            sizes += off[ANEW[kind]].reshape(sizes.shape)
+        return sizes
 
 
 def imperfections(
@@ -235,8 +262,9 @@ def imperfections(
     Return the kinds and slopes of imperfections at a point, linearised around given ones (`at`).
 
     Of two recordings of an arm both have the same ones, which cancel but for what the earlier one
-    leaves open: it decides how the arm answers a change. Beside it remains how far its deviations
-    themselves have changed, which may be as much as they are. With `changed`, imperfections may be
+    leaves open: it decides how the arm answers a change. What is set anew in each of several new
+    recordings stands beside it, and how far the deviations of the arm have changed themselves,
+    which may be as much as they are. With `changed`, imperfections may be
     new. An arm that is no `BuiltPredictor` is exact: it has none of any kind.
     None where the model has no equilibrium, which is looked for from `near`.
     """
@@ -246,7 +274,9 @@ def imperfections(
     kinds, arm.around = arm.kinds(changed), at or {}
     if reference is not None and not changed:
         count = max((root.shape[1] for root in reference.spread.values()), default=0)
-        kinds = (Kind(EARLIER, '1', 1.0, tuple(map(str, range(count)))),) if count else ()
+        between = (kind for kind in kinds if kind.name in ANEW.values())
+        earlier = [Kind(EARLIER, '1', 1.0, tuple(map(str, range(count))))] if count else []
+        kinds = (*earlier, *between)
     if arm.markers(point, near=near) is None:
         return None
     moves = member_moves(arm, point, kinds)
@@ -264,12 +294,12 @@ def member_moves(arm: BuiltPredictor, point: Point, kinds: Sequence[Kind]) -> Fl
     """
     reference = arm.dataset.reference
     if reference is not None and EARLIER in (kind.name for kind in kinds):
-        around, own = arm.around, [kind for kind in arm.kinds() if kind.name in reference.spread]
-        arm.around = arm.members
-        each = member_moves(arm, point, own)
-        arm.around = around
+        own = [kind for kind in arm.kinds() if kind.name in reference.spread]
         root = np.concatenate([reference.spread[kind.name] for kind in own])
-        return np.asarray(np.tensordot(root.T, each, 1))
+        around, arm.around = arm.around, arm.members
+        each = member_moves(arm, point, [*own, *kinds[1:]])  # of the reference they come first
+        arm.around = around
+        return np.concatenate([np.tensordot(root.T, each[: len(root)], 1), each[len(root) :]])
     named = [(kind.name, i, len(kind)) for kind in kinds for i in range(len(kind))]
     if not named:
         return np.empty((0, len(arm.inputs), len(arm.dataset.markers), 3))

@@ -38,6 +38,9 @@ KIND_NAMES = {
     'pull_zero': 'zeros of the pulls',
     'position': 'position of the tracker',
     'rotation': 'rotation of the tracker',
+    'pull_zero_anew': 'zeros of the pulls in each recording',
+    'position_anew': 'position of the tracker in each recording',
+    'rotation_anew': 'rotation of the tracker in each recording',
 }
 
 
