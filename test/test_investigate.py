@@ -281,8 +281,10 @@ def test_resumed_it_takes_more_trials_than_were_seen_before(tmp_path, trials):
     record = Record.begin(subject, tmp_path / 'few', 3)
     positions = subject.measure(inputs, 3).positions
     positions[2] = np.nan
+    record.changed = [{'name': 'tip_load'}]
     record.take(inputs, PostureMeasured(positions, np.tile(inputs, (3, 1))), 1e-4)
     again = Record.resume(subject, tmp_path / 'few', trials)
+    assert again.changed == record.changed
     more = subject.measure(inputs, trials)
     again.take(inputs, more, 1e-4)
     assert again.dataset.trials.tolist() == [2, trials]

@@ -240,7 +240,7 @@ class BuiltPredictor(Predictor):
         across = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # p @ it: turn x p
         if across.any():
             placed = placed + (placed.reshape(-1, 3) @ across).reshape(placed.shape)
-        return placed + self._in_recordings(POSITION, 3)[self._recording]
+        return np.asarray(placed + self._in_recordings(POSITION, 3)[self._recording])
 
     def _in_recordings(self, kind: str, count: int) -> Floats:
         """Return the sizes (recordings, count) of a kind that may differ between recordings."""

@@ -138,9 +138,10 @@ class Record:
             content = json.loads(text)
             skipped = [Skipped(**one) for one in content['skipped']]
             rounds = [Round(**one) for one in content['rounds']]
+            changed = [dict(one) for one in content['changed']]
         except (ValueError, LookupError, TypeError) as error:
             raise refuse(error) from None
-        record = cls(empty_dataset(arm, DATA, trials), folder, skipped, rounds)
+        record = cls(empty_dataset(arm, DATA, trials), folder, skipped, rounds, changed=changed)
         if (folder / DATA).exists():
             record.dataset = replace(load_dataset(folder / DATA), name=DATA)
         dataset = record.dataset
