@@ -1,12 +1,15 @@
 """Emulated servos, the real driver node on them, and a sender of commands, for the tests."""
 
+import contextlib
 import threading
 import time
 from functools import partial
 
 import numpy as np
+import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from emulated import ForkedEmulator
+from marks import slow
 from ros_station import Station, last, stamp, start, values
 from sensor_msgs.msg import JointState
 
@@ -140,6 +143,29 @@ class Rig:
             self.node.end()
         self.station.close()
         self.servos.end()
+
+
+def running(kind):
+    """Make a fixture of a module: a rig that runs, in tension and, slowly, in pull mode."""
+
+    @pytest.fixture(scope='module', params=['tension', slow('pull')])
+    def running(request, tmp_path_factory):
+        with contextlib.closing(kind(request.param, tmp_path_factory.mktemp('logs'))) as rig:
+            rig.run()
+            yield rig
+
+    return running
+
+
+@pytest.fixture
+def following(running):
+    """Give every test a node that follows."""
+    running.sending = True
+    if running.node.process.poll() is not None:  # a test has failed
+        running.station.driver.clear()
+        running.run()
+    running.until_following()
+    return running
 
 
 def steps(goals):

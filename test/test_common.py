@@ -39,6 +39,12 @@ def test_a_quaternion_becomes_the_rotation_that_becomes_it_again(numbers):
     assert abs(back @ quaternion) == pytest.approx(1.0, abs=1e-9)
 
 
+def test_half_turns_have_quaternions_too():
+    turns = np.array([np.diag(d) for d in ([1.0, -1, -1], [-1, 1, -1], [-1, -1, 1], [1, 1, 1])])
+    assert np.abs(quaternions(turns)) == pytest.approx(np.eye(4), abs=1e-12)
+    assert towards(np.array([0.0, 0.0, -1.0]))[:, 2].tolist() == [0.0, 0.0, -1.0]
+
+
 @given(ANGLE)
 def test_bending_towards_an_axis_turns_about_the_other(angle):
     assert bent(np.array([1.0, 0.0]), np.array(angle)) == pytest.approx(about(1, angle), abs=1e-12)

@@ -5,7 +5,6 @@ Commands come at 100 Hz from here; the servos are emulated in a third process. F
 the motors get, what status and diagnostics say, how it recovers.
 """
 
-import contextlib
 import signal
 import time
 
@@ -15,7 +14,8 @@ import pytest
 pytest.importorskip('rclpy')
 pytest.importorskip('dynamixel_sdk')
 
-from dynamixel_rig import PULL, ROBOT, TENSION, Rig, steps
+import dynamixel_rig
+from dynamixel_rig import PULL, ROBOT, TENSION, steps
 from marks import slow
 from ros_station import LOW, Station, last, point, stamp, start, values
 
@@ -26,22 +26,7 @@ WATCHDOG_TRIPPED = 255
 RELEASE_RATE = {'tension': 10.0, 'pull': 0.02}  # [N/s], [m/s], as the driver's parameters have it
 
 
-@pytest.fixture(scope='module', params=['tension', slow('pull')])
-def running(request, tmp_path_factory):
-    with contextlib.closing(Rig(request.param, tmp_path_factory.mktemp('logs'))) as rig:
-        rig.run()
-        yield rig
-
-
-@pytest.fixture
-def rig(running):
-    """Give every test a node that follows."""
-    running.sending = True
-    if running.node.process.poll() is not None:  # a test has failed
-        running.station.driver.clear()
-        running.run()
-    running.until_following()
-    return running
+running, rig = dynamixel_rig.running(dynamixel_rig.Rig), dynamixel_rig.following
 
 
 # name -> break, mend (None: reboot and reset), what the status says, torque goes off for id 2

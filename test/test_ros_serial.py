@@ -1,7 +1,5 @@
 """An emulated board behind the real driver node: it moves, and every fault of it is survived."""
 
-import contextlib
-
 import numpy as np
 import pytest
 from emulated_board import needs_compiler
@@ -27,19 +25,7 @@ class Rig(dynamixel_rig.Rig):
         return np.array(self.servos.ask('state')['tensions'])
 
 
-@pytest.fixture(scope='module', params=['tension', slow('pull')])
-def running(request, tmp_path_factory):
-    with contextlib.closing(Rig(request.param, tmp_path_factory.mktemp('logs'))) as rig:
-        rig.run()
-        yield rig
-
-
-@pytest.fixture
-def rig(running):
-    """Give every test a node that follows."""
-    running.sending = True
-    running.until_following()
-    return running
+running, rig = dynamixel_rig.running(Rig), dynamixel_rig.following
 
 
 def test_the_node_says_that_tensions_come_from_load_cells(rig):

@@ -7,7 +7,6 @@ Paths of the tip through given rows, stretched in time to keep limits.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, pchip_interpolate
@@ -17,13 +16,11 @@ from ..common.errors import InputError
 from ..common.rotations import angle_between
 from ..control.inputs import STREAM_PERIOD_S, Trajectory
 from ..model.inverse import reach
+from ..model.model import Model
 from ..model.program import RANGE_TOLERANCE
+from ..model.shape import Shape
 from ..model.tip_task import TipTask
 from ..robot.keep_out import KeepOut
-
-if TYPE_CHECKING:
-    from ..model.model import Model
-    from ..model.shape import Shape
 
 # [m], [rad] samples of a path lie no further apart, and a target counts as reached within them:
 # about what a tracker sees of a moving tip, so that neither shows in a run

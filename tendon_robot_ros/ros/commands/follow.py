@@ -29,7 +29,7 @@ from ...paths.path import Pace, Plan, retreat, set_points, stretched, thinned, t
 from ...report.pictures import draw_run, path_lines, place
 from ...robot.keep_out import KeepOut, load_keep_out, text_of
 from ..controller.topics import POINTS_MAX
-from ..shared.robot_client import Pilot, add_controller
+from ..shared.robot_client import Pilot, TipSample, add_controller
 from ..shared.runtime import ros
 from ..shared.timing import MOVE_TIMEOUT_S, NEWS_PERIOD_S
 
@@ -277,14 +277,11 @@ def _pace(options: argparse.Namespace) -> Pace:
     return Pace(**limits)
 
 
-Sent = list[tuple[float, Floats, Floats]]  # [s], position (3,) [m] and direction of targets
-
-
 def run_tips(pilot: Pilot, plan: Plan) -> PathRun:
     """Go to the first row of a plan, send targets by its times, wait until the arm is at rest."""
     pilot.stand_at(*plan.at(0.0), 'the arm at the first row')
     began = due = time.monotonic()
-    sent: Sent = []
+    sent: list[TipSample] = []  # the targets
     passed = 0.0
     while passed < plan.duration or not sent:
         passed = min(time.monotonic() - began, plan.duration)
@@ -321,7 +318,7 @@ def run_back(pilot: Pilot, pace: Pace) -> None:
     pilot.play_to_the_end(back, 'the arm back where it came from')
 
 
-def _path_run(pilot: Pilot, began: float, sent: Sent, rows: Floats) -> PathRun:
+def _path_run(pilot: Pilot, began: float, sent: list[TipSample], rows: Floats) -> PathRun:
     measured, tip_times, tips, views = pilot.tips()
     command_times, commands = pilot.commands()
     during, commanded = tip_times >= began, command_times >= began

@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 import yaml
 from geometry_msgs.msg import Vector3Stamped
-from std_msgs.msg import String
 
 from ...common.arrays import Floats
 from ...common.errors import MissingExtraError, NoEquilibriumError, TendonRobotError
@@ -152,19 +151,17 @@ class Director(Pilot):
         # (3,) [m] of the tip, with their stamps [s]
         self._errors: deque[tuple[float, Floats]] = deque(maxlen=MESSAGES_MAX)
 
-        def verdict(message: String) -> None:
-            self.verdict = json.loads(message.data)
-
-        def keep(name: str) -> Callable[[Any], None]:
-            return lambda message: setattr(self, name, message.data)
+        def keep(name: str, read: Callable[[Any], Any]) -> Callable[[Any], None]:
+            return lambda message: setattr(self, name, read(message.data))
 
         def error(message: Vector3Stamped) -> None:
             self._errors.append((seconds(message.header.stamp), np.array(xyz(message.vector))))
 
         interface.subscribe(self, 'monitor/error', error, 'monitor')
-        interface.subscribe(self, 'monitor/progress', keep('progress'), 'monitor', interface.STATE)
+        progress, verdict = keep('progress', str), keep('verdict', json.loads)
+        interface.subscribe(self, 'monitor/progress', progress, 'monitor', interface.STATE)
         interface.subscribe(self, 'monitor/verdict', verdict, 'monitor')
-        interface.subscribe(self, 'tour', keep('touring'))
+        interface.subscribe(self, 'tour', keep('touring', bool))
 
     def wait_until_up(self) -> None:
         """Wait until all nodes work; TendonRobotError: one has ended."""

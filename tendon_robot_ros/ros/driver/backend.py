@@ -42,11 +42,6 @@ class TrackerConfig:
     lost: Annotated[float, in_range(0.0, 1.0, '1')] = 0.0  # fraction of frames that is lost
 
 
-def tracker_config(config: Mapping[str, Any]) -> TrackerConfig:
-    """Read the configuration of the tracker; DriverError: a key or a value is refused."""
-    return ConfigFields('config', 'tracker', config).read(TrackerConfig)
-
-
 class MockTracker:
     """
     Publishes the simulated measurements of the mock arm: measured_tip and measured_shape.
@@ -57,7 +52,7 @@ class MockTracker:
     def __init__(self, node: ParameterNode, driver: MockDriver, config: Mapping[str, Any]) -> None:
         """Create publishers and timer; DriverError: the configuration is refused."""
         self._node, self._driver = node, driver
-        self._config = tracker_config(config)
+        self._config = ConfigFields('config', 'tracker', config).read(TrackerConfig)
         self._random = np.random.default_rng(int(self._config.seed))
         robot = driver.robot
         self._frame = base_frame(node.parameters, robot.name)

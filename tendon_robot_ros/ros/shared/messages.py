@@ -6,6 +6,7 @@ import importlib.util
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -82,16 +83,13 @@ def xyz(message: Point | Vector3) -> list[float]:
     return [message.x, message.y, message.z]
 
 
-def point(values: Iterable[float]) -> Point:
-    """Return a point with these components."""
+def vector(values: Iterable[float], kind: Any = Vector3) -> Any:
+    """Return a vector with these components, or another message that has x, y and z."""
     x, y, z = map(float, values)
-    return Point(x=x, y=y, z=z)
+    return kind(x=x, y=y, z=z)
 
 
-def vector(values: Iterable[float]) -> Vector3:
-    """Return a vector with these components."""
-    x, y, z = map(float, values)
-    return Vector3(x=x, y=y, z=z)
+point = partial(vector, kind=Point)
 
 
 def xyzw(message: Quaternion) -> list[float]:

@@ -39,6 +39,7 @@ TIP_AVERAGE_S = 0.3
 # [1] messages kept of a topic: two seconds at 1 kHz, so that a busy machine loses none, and memory
 # does not grow
 MESSAGES_MAX = 2000
+TipSample = tuple[float, Floats, Floats]  # time [s], position (3,) [m], direction (3,) of a tip
 
 
 def add_controller(parser: argparse.ArgumentParser) -> None:
@@ -83,17 +84,12 @@ class Pilot(ClientNode):
         self._status_at = 0.0  # [s] when the controller's status came
         self._since = np.inf  # [s] when `clear` was called
         self._remotes: dict[tuple[str, str], RemoteParameter] = {}  # of (node, name)
-        self._tips: dict[str, list[tuple[float, Floats, Floats]]]
-        self._tips = {'measured': [], 'predicted': []}
+        self._tips: dict[str, list[TipSample]] = {'measured': [], 'predicted': []}
         self._commands: list[tuple[float, Floats]] = []
-        self._poses, self._points, self._trajectories = (
-            self.create_publisher(*interface.topic(name, controller))
-            for name in (
-                'controller/target_pose',
-                'controller/target_point',
-                'controller/tendon_trajectory',
-            )
-        )
+        own = partial(interface.topic, at=controller)
+        self._poses = self.create_publisher(*own('controller/target_pose'))
+        self._points = self.create_publisher(*own('controller/target_point'))
+        self._trajectories = self.create_publisher(*own('controller/tendon_trajectory'))
 
         def receive(node: str, message: DiagnosticStatus) -> None:
             self.statuses[node] = {**messages.status_values(message), 'message': message.message}
