@@ -276,7 +276,7 @@ def test_where_no_posture_without_friction_is_left_there_is_nothing_to_compare()
     [
         ({'postures': 0}, 'expected 1 to 100,000,000 postures, got 0'),
         ({'postures': -1}, 'expected 1 to 100,000,000 postures, got -1'),
-        ({'limits': (5.0, 1.0)}, 'a pretension from 0 to below the limit, got 5 N and 1 N'),
+        ({'pretension': 5.0, 'limit': 1.0}, 'below the limit, got 5 N and 1 N'),
         ({'edge': 1e-6}, 'expected cubes of 0.42 mm to the length of the arm, got 0.001 mm'),
         ({'views': [-1.0]}, 'expected view angles of 0° or more'),
     ],

@@ -108,13 +108,8 @@ OLD_OPTIONS = {
     'simulate': {'--count': '--postures'},
 }
 # with hyphens, and with underscores as ROS has them
-EXECUTABLES = sorted(
-    {
-        form
-        for name in (*(first for first, _, _ in WORDS), *OLD_NAMES)
-        for form in (name, name.replace('-', '_'))
-    }
-)
+_NAMES = {*(first for first, _, _ in WORDS), *OLD_NAMES}
+EXECUTABLES = sorted(_NAMES | {name.replace('-', '_') for name in _NAMES})
 
 SCREEN_COLUMNS = 100  # [1] of a help, because a terminal hardly has fewer
 SCREEN_LINES = 24  # [1] of a help, because a terminal opens with as many

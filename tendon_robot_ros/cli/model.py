@@ -301,21 +301,24 @@ class WorkspaceCommand:
         emit(args, found.to_json(), '\n'.join(lines))
 
 
+def asked(args: argparse.Namespace) -> dict[str, Any]:
+    """Return what is asked of pairs and of all tendons alike, in SI units."""
+    return {
+        'views': [math.radians(view) for view in args.view],
+        'tolerance': math.radians(args.tolerance),
+        'pretension': args.pretension,
+        'limit': args.tension_max,
+    }
+
+
 def sweep_pairs(args: argparse.Namespace, model: Model) -> Result:
     """Sweep pairs of inputs at view angles."""
     from ..report.workspace_page import missing, rows, workspace_page
     from ..workspace.view_angle import Workspace
 
     with progress() as show:
-        workspace = Workspace(
-            model,
-            [math.radians(view) for view in args.view],
-            step=0.1 if args.step is None else args.step,
-            pretension=args.pretension,
-            tolerance=math.radians(args.tolerance),
-            limit=args.tension_max,
-            progress=show,
-        )
+        step = 0.1 if args.step is None else args.step
+        workspace = Workspace(model, step=step, progress=show, **asked(args))
     size = (
         f'{workspace.postures:,} postures, {workspace.step:g} N apart up to {workspace.limit:g} N'
     )
@@ -334,23 +337,14 @@ def sample_all(args: argparse.Namespace, model: Model) -> Result:
     from ..report.workspace_page import summary, volume_page
     from ..workspace.volume import Sampling, Volume
 
-    low, high = model.robot.tension_limits
     kept = Path(args.output) if args.output else None
     if kept is not None:
         kept.mkdir(parents=True, exist_ok=True)
     prepare = Preparation.of_this_process(UserEffect.read(args.effect_file))
     with progress(remaining=True) as show, Workers(args.workers, args.cluster, prepare) as workers:
-        sampling = Sampling.of(
-            model,
-            postures=100_000 if args.postures is None else args.postures,
-            views=[math.radians(view) for view in args.view],
-            tolerance=math.radians(args.tolerance),
-            limits=(
-                low if args.pretension is None else args.pretension,
-                high if args.tension_max is None else args.tension_max,
-            ),
-            edge=None if args.cubes is None else options.length('--cubes', args.cubes, args.unit),
-        )
+        postures = 100_000 if args.postures is None else args.postures
+        edge = None if args.cubes is None else options.length('--cubes', args.cubes, args.unit)
+        sampling = Sampling.of(model, postures, edge=edge, **asked(args))
         volume = Volume(sampling, show, workers, kept)
     return volume, summary(volume), volume_page
 

@@ -270,13 +270,10 @@ class Workspace:
         for name, shape in empty.items():
             parts = (getattr(family, name) for family in families)
             arrays[name] = np.concatenate([np.zeros(shape), *parts])
-        each: dict[str, list[float]] = {
-            'view': [family.view for family in families],
-            'side': [family.side for family in families],
-            'pair': [self.pairs.index(family.pair) for family in families],
-        }
         counts = [len(family) for family in families]
-        arrays |= {name: np.repeat(values, counts) for name, values in each.items()}
+        arrays['view'] = np.repeat([family.view for family in families], counts)
+        arrays['side'] = np.repeat([family.side for family in families], counts)
+        arrays['pair'] = np.repeat([self.pairs.index(f.pair) for f in families], counts)
         np.savez_compressed(folder / WORKSPACE_FILES[1], **arrays)
 
 

@@ -76,7 +76,8 @@ class Sampling:
         postures: int = 100_000,
         views: Sequence[float] = (),
         tolerance: float = np.radians(2.5),
-        limits: tuple[float, float] | None = None,
+        pretension: float | None = None,
+        limit: float | None = None,
         edge: float | None = None,
     ) -> Sampling:
         """
@@ -91,7 +92,7 @@ class Sampling:
             Angles [rad] between the tip's direction and the base's: their tips are collected, too.
         tolerance : float
             By which a view angle may be missed [rad].
-        limits : (float, float), optional
+        pretension, limit : float, optional
             Lowest and highest tension [N]; by default the robot's.
         edge : float, optional
             Of the cubes [m]; by default so that ten postures come to each.
@@ -104,7 +105,8 @@ class Sampling:
         """
         robot = model.robot
         minimum, maximum = CUBES_ALONG
-        low, high = limits or (float(model.limits[:, 0].min()), float(model.limits[:, 1].max()))
+        low, high = robot.tension_limits
+        low, high = low if pretension is None else pretension, high if limit is None else limit
         if edge is None:
             # tips fill about three squares, or four cubes, of the length of the arm; those of one
             # section in space are a shell of about four squares

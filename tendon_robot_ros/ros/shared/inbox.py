@@ -63,30 +63,29 @@ class _Allocator(ctypes.Structure):
     )
 
 
-class _Bytes(ctypes.Structure):
-    """rcutils_uint8_array_t."""
-
-    _fields_ = (
-        ('buffer', ctypes.c_void_p),
-        ('length', ctypes.c_size_t),
-        ('capacity', ctypes.c_size_t),
-        ('allocator', _Allocator),
-        ('spare', ctypes.c_uint8 * SPARE_BYTES),
-    )
+def structure(name: str, **fields: Any) -> type[ctypes.Structure]:
+    """Return a structure of C with these fields in their order, and spare bytes behind them."""
+    content = [*fields.items(), ('spare', ctypes.c_uint8 * SPARE_BYTES)]
+    return type(name, (ctypes.Structure,), {'_fields_': content})
 
 
-class _Info(ctypes.Structure):
-    """rmw_message_info_t."""
-
-    _fields_ = (
-        ('sent', ctypes.c_int64),
-        ('received', ctypes.c_int64),
-        ('number', ctypes.c_int64),  # -1 where the middleware does not count: rmw/types.h
-        ('received_number', ctypes.c_int64),
-        ('middleware', ctypes.c_char_p),
-        ('publisher', ctypes.c_uint8 * 16),
-        ('spare', ctypes.c_uint8 * SPARE_BYTES),
-    )
+Gid = ctypes.c_uint8 * 16  # of a publisher: rmw/types.h
+_Bytes = structure(
+    'rcutils_uint8_array_t',
+    buffer=ctypes.c_void_p,
+    length=ctypes.c_size_t,
+    capacity=ctypes.c_size_t,
+    allocator=_Allocator,
+)
+_Info = structure(
+    'rmw_message_info_t',
+    sent=ctypes.c_int64,
+    received=ctypes.c_int64,
+    number=ctypes.c_int64,  # -1 where the middleware does not count: rmw/types.h
+    received_number=ctypes.c_int64,
+    middleware=ctypes.c_char_p,
+    publisher=Gid,
+)
 
 
 def polled(node: Node, kind: type, topic: str, qos: QoSProfile) -> Any:

@@ -21,21 +21,12 @@ from rclpy.publisher import Publisher
 
 from ...common.processes import Linux
 from ...common.words import LISTED_MAX
-from .inbox import SPARE_BYTES, Received
+from .inbox import Gid, Received, structure
 from .timing import SILENCE_S, VALUES_PERIOD_S
 
 UNDISCOVERED = '_NODE_NAME_UNKNOWN_'  # the name that rmw gives until discovery has ended
+_Gid = structure('rmw_gid_t', middleware=ctypes.c_char_p, publisher=Gid)
 CREDENTIALS = struct.Struct('3i')  # struct ucred of unix(7): process, user, group
-
-
-class _Gid(ctypes.Structure):
-    """rmw_gid_t."""
-
-    _fields_ = (
-        ('middleware', ctypes.c_char_p),
-        ('publisher', ctypes.c_uint8 * 16),
-        ('spare', ctypes.c_uint8 * SPARE_BYTES),
-    )
 
 
 def gid_of(publisher: Publisher) -> bytes:
