@@ -104,11 +104,16 @@ def is_measured(pixels):
     return (red > green + 20) & (green > blue + 3)
 
 
-def places(browser, tmp_path, colour):
-    """Return where (n, 2) [px] a colour is on the screen, the panel included."""
+def screen(browser, tmp_path):
+    """Return what is seen, (height, width, 3), the panel included."""
     browser.picture(tmp_path / 'shot.png')
     with Image.open(tmp_path / 'shot.png') as image:
-        pixels = np.asarray(image.convert('RGB'), dtype=int)
+        return np.asarray(image.convert('RGB'), dtype=int)
+
+
+def places(browser, tmp_path, colour):
+    """Return where (n, 2) [px] a colour is on the screen."""
+    pixels = screen(browser, tmp_path)
     near = colour(pixels) if callable(colour) else np.abs(pixels - colour).max(axis=2) < 30
     y, x = np.nonzero(near)
     return np.array([x, y]).T
@@ -173,9 +178,7 @@ def test_arms_that_coincide_are_both_seen(trusted, tmp_path):
     opened.page.draw(opened.shown)
 
     def widths():
-        browser.picture(tmp_path / 'shot.png')
-        with Image.open(tmp_path / 'shot.png') as image:
-            pixels = np.asarray(image.convert('RGB'), dtype=int)
+        pixels = screen(browser, tmp_path)
         pixels = pixels[200:, : int(browser.run(PANEL)[0])]  # below the browser's own notice
         blue = pixels[..., 2] > pixels[..., 0] + 10
         inside = blue & (np.cumsum(is_measured(pixels), axis=1) > 0)

@@ -42,6 +42,12 @@ NEAR = 1e-3  # [m] of wire, less than postures differ by; motors hold it to a hu
 PATIENCE = 500.0  # [s]
 
 
+def places(shape, markers):
+    """Return where (J, 3) [m] the markers on an arm are."""
+    arcs = np.array([marker.arc_length for marker in markers])
+    return shape.markers(arcs, np.array([marker.offset for marker in markers]))
+
+
 class Tracked(Station):
     """Emulated motors, the nodes on them, and a tracker that sees what the motors pull."""
 
@@ -73,9 +79,7 @@ class Tracked(Station):
         """Publish what a tracker sees."""
         state = self.motors.ask('state')
         tensions, self.wound = np.array(state['tensions']), np.array(state['wound'])
-        arcs = np.array([marker.arc_length for marker in self.markers])
-        offsets = np.array([marker.offset for marker in self.markers])
-        seen = self.arm.respond(np.maximum(tensions, 0.0)).markers(arcs, offsets)
+        seen = places(self.arm.respond(np.maximum(tensions, 0.0)), self.markers)
         seen = seen + self.random.normal(0.0, NOISE, seen.shape)
         message = PoseArray()
         message.header.frame_id = f'{self.robot.name}_base'
@@ -98,15 +102,8 @@ class Tracked(Station):
     def investigating(self, *arguments):
         """Start the command; it writes to `found` and `investigate.log`."""
         with (self.folder / 'investigate.log').open('w') as log:
-            command = [
-                'investigate',
-                '--output',
-                str(self.folder / 'found'),
-                '--speed',
-                '1',
-                *arguments,
-            ]
-            command += ['--ros-args', '-r', f'__ns:={self.namespace}']
+            command = ['investigate', '--output', str(self.folder / 'found'), '--speed', '1']
+            command += [*arguments, '--ros-args', '-r', f'__ns:={self.namespace}']
             environment = {**os.environ, 'PYTHONPATH': str(ROOT), 'PYTHONUNBUFFERED': '1'}
             yield Forked(command, stdin=processes.DEVNULL, stdout=log, stderr=log, env=environment)
 
@@ -308,9 +305,7 @@ class Unloaded:
         return StillMeasurement(self.pulls, seen, NOISE, 15, 0.0, 0.6)
 
     def seen(self, pulls):
-        arcs = np.array([marker.arc_length for marker in self.markers])
-        offsets = np.array([marker.offset for marker in self.markers])
-        return self.truth.pull_shape(pulls).markers(arcs, offsets)
+        return places(self.truth.pull_shape(pulls), self.markers)
 
 
 @pytest.mark.parametrize('pull', [0.0008, 0.0035, 0.01])
