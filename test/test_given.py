@@ -56,6 +56,8 @@ def test_a_robot_is_named_in_every_way(given):
     ('given', 'said'),
     [
         ('spatial3', r'spatial3: expected a path or .* no such file; did you mean spatial_3\? '),
+        ('nobody', r'nobody: .*known names: kato_10_1, kato_10_1_single, '),
+        ('nobody.yaml', 'nobody.yaml: file: expected a readable YAML file'),
         (ROOT / 'data' / 'tentacle', r'is a folder; name its .*robot\.yaml'),
         (ROOT / 'docs', 'is a folder; name a robot description in it'),
         (' ', 'robot: expected the name of a robot .* got nothing'),

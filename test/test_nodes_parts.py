@@ -25,12 +25,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from tendon_robot_ros.cli.main import main
-from tendon_robot_ros.common.errors import (
-    DriverError,
-    InputError,
-    RobotDescriptionError,
-    TendonRobotError,
-)
+from tendon_robot_ros.common.errors import DriverError, InputError, TendonRobotError
 from tendon_robot_ros.common.yaml_reading import ConfigFields
 from tendon_robot_ros.control import Refusal, loading
 from tendon_robot_ros.control.loading import Loader
@@ -385,22 +380,6 @@ def test_an_undo_that_the_controller_refuses_can_be_asked_for_again(monkeypatch)
     adapting.undo()
     answers.pop()(True, '')
     assert adaptation.changes == [first]
-
-
-def test_a_robot_comes_from_a_name_a_path_or_text(tmp_path):
-    named = load_robot('kato_10_1')
-    path = tmp_path / 'mine.yaml'
-    path.write_text('name: [')
-    assert named.name == 'kato_10_1'
-    assert load_robot(named.source).cells == 30
-    with pytest.raises(RobotDescriptionError, match='expected valid YAML'):
-        load_robot(str(path))
-    with pytest.raises(RobotDescriptionError, match='expected a readable YAML file'):
-        load_robot('nobody.yaml')
-    with pytest.raises(InputError, match=r'nobody: .*known names: kato_10_1, kato_10_1_single, '):
-        load_robot('nobody')
-    with pytest.raises(InputError, match='got nothing'):
-        load_robot(' ')
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,13 @@ def moved(space, **driver):
     return processes
 
 
+def changes(space, rate):
+    """Yield by how much the highest tension changes, and may at a rate, whatever is not heard."""
+    efforts = [(stamp(message), max(message.effort)) for _, message in space.states]
+    for (began, before), (now, after) in pairwise(efforts):
+        yield after - before, rate * (now - began + CYCLE_MAX_S) + 0.02
+
+
 def test_a_transition_that_is_not_there_is_refused_and_nothing_else_happens(space):
     driver, _ = moved(space)
     for wanted in (Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_CONFIGURE, 99):
@@ -69,9 +76,7 @@ def test_a_signal_ends_the_driver_after_a_ramp_to_pretension(space, numbers):
     assert driver.process.returncode == 0
     rest = pytest.approx(LOW, abs=0.02)
     space.until(lambda: max(last(space.states).effort) == rest, 'the end of the ramp')
-    efforts = [(stamp(message), max(message.effort)) for _, message in space.states]
-    for before, after in pairwise(efforts):  # no jump, however many messages are lost
-        assert before[1] - after[1] < rate * (after[0] - before[0] + CYCLE_MAX_S) + 0.02
+    assert all(-change < limit for change, limit in changes(space, rate))
     space.until_code(space.controller, 'no_driver')
 
 
@@ -135,9 +140,7 @@ def test_with_resume_the_next_driver_is_led_to_the_old_target(space):
     space.states.clear()
     space.run('driver', rate_limit=RATE_LIMIT)
     space.until(lambda: space.states and max(last(space.states).effort) > 0.5, 'the posture')
-    efforts = [(stamp(message), max(message.effort)) for _, message in space.states]
-    for before, after in pairwise(efforts):  # brought back at the rate limit, whenever it is heard
-        assert after[1] - before[1] < RATE_LIMIT * (after[0] - before[0] + CYCLE_MAX_S) + 0.02
+    assert all(change < limit for change, limit in changes(space, RATE_LIMIT))
     space.until_code(space.controller, 'reached', 'nearest', 'at_limit')
 
 
