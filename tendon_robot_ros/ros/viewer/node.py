@@ -62,7 +62,7 @@ class ViewerNode(ParameterNode):
         self.page = LivePage(host, int(self.parameters['port']), token)
         self._base, self._panel_at = '', 0.0
         self._status = Status(self, 'page')
-        self._frames: deque[float] = deque(maxlen=100)  # [s] when the arm was drawn
+        self._frames: deque[float] = deque(maxlen=200)  # [s] when the arm was drawn, 2 s at least
         self._listen(names)
         target = interface.topic('controller/target_point', names['controller'])
         self._targets = self.create_publisher(*target)
