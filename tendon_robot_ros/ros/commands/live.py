@@ -238,10 +238,7 @@ def play_as_text(director: Director, model: Model, story: Story, postures: int) 
         f'{", ".join(robot.effects)}'
     )
     print(director.triggered('monitor/record'))
-    errors = []
-    for stop in tour(model, postures, 0):
-        if director.record(*stop):
-            errors.append(director.error())
+    errors = [director.error() for stop in tour(model, postures, 0) if director.record(*stop)]
     worst = mm(max(map(np.linalg.norm, errors), default=np.nan))
     shown = f'{mm(rms(np.array(errors)))} rms, {worst} at worst' if errors else 'unknown'
     print(f'{director.recorded} postures recorded   tip error {shown}')
