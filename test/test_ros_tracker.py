@@ -85,21 +85,17 @@ def test_a_topic_per_marker_in_the_frame_of_the_tracker(tracked):
     wanted = arm.markers(np.array([0.1, 0.2]), np.zeros((2, 3)))
     x, y, z = (wanted - [0.1, 0.0, 0.0]).T
     seen = np.array([y, -x, z]).T  # as the turned camera sees it
-    station.feed(
-        lambda: station.says('comparing') and np.isfinite(station.places()).all(),
-        'both markers',
-        frame='camera',
-        camera_one=seen[0],
-        camera_two=seen[1],
-    )
+    both = {'frame': 'camera', 'camera_one': seen[0], 'camera_two': seen[1]}
+
+    def compared():
+        return station.says('comparing') and np.isfinite(station.places()).all()
+
+    def near():
+        return float(values(last(station.monitor))['error (m)']) < 1e-3
+
+    station.feed(compared, 'both markers', **both)
     assert station.places() == pytest.approx(wanted, abs=1e-6)
-    station.feed(
-        lambda: float(values(last(station.monitor))['error (m)']) < 1e-3,
-        'a small error',
-        frame='camera',
-        camera_one=seen[0],
-        camera_two=seen[1],
-    )
+    station.feed(near, 'a small error', **both)
     station.measured.clear()
     station.feed(
         lambda: len(station.measured) > 3,

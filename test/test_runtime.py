@@ -190,30 +190,34 @@ class SlowLoader:
         pass
 
 
-def test_the_controller_says_at_once_what_it_does_before_it_is_ready(context, monkeypatch):
-    monkeypatch.setattr(model_loading, 'Loader', SlowLoader)
-    context('--ros-args', '-r', '__ns:=/slow', '-p', 'model:=kato_10_1')
-    controller, said = ControllerNode(), []
-    controller.status._latched = SimpleNamespace(publish=said.append)
-    try:
-        for doing in ('loading', 'compiling', 'building'):
-            SlowLoader.doing = doing
-            controller.running()
-            time.sleep(NEWS_PERIOD_S)
-        assert [(status.values[0].value, status.message) for status in said] == [
-            ('loading', 'reading the model'),
-            ('compiling', 'compiling the model, once; half a minute'),
-            ('building', 'building the library of shapes'),
-        ]
-    finally:
-        controller.end()
-        controller.destroy_node()
-
-
-def test_the_controllers_stop_is_heard_while_no_callback_is_served(context, monkeypatch):
+@pytest.fixture
+def controller(context, monkeypatch):
+    """Give a controller that nobody spins, and whose model takes for ever to load."""
     monkeypatch.setattr(model_loading, 'Loader', SlowLoader)
     context('--ros-args', '-r', '__ns:=/busy', '-p', 'model:=kato_10_1')
-    controller, person = ControllerNode(), Node('person', namespace='/busy')
+    node = ControllerNode()
+    yield node
+    node.core = None
+    node.end()
+    node.destroy_node()
+
+
+def test_the_controller_says_at_once_what_it_does_before_it_is_ready(controller):
+    said = []
+    controller.status._latched = SimpleNamespace(publish=said.append)
+    for doing in ('loading', 'compiling', 'building'):
+        SlowLoader.doing = doing
+        controller.running()
+        time.sleep(NEWS_PERIOD_S)
+    assert [(status.values[0].value, status.message) for status in said] == [
+        ('loading', 'reading the model'),
+        ('compiling', 'compiling the model, once; half a minute'),
+        ('building', 'building the library of shapes'),
+    ]
+
+
+def test_the_controllers_stop_is_heard_while_no_callback_is_served(controller):
+    person = Node('person', namespace='/busy')
     client, executor = person.create_client(Trigger, 'controller/stop'), SingleThreadedExecutor()
     commands = []
     person.create_subscription(JointState, 'tendon_command', commands.append, COMMAND)
@@ -232,9 +236,6 @@ def test_the_controllers_stop_is_heard_while_no_callback_is_served(context, monk
         processes.until(lambda: executor.spin_once(timeout_sec=0.1) or commands, 'a command')
         assert not commands[0].name  # the driver lets go
     finally:
-        controller.core = None
-        controller.end()
-        controller.destroy_node()
         person.destroy_node()
 
 
