@@ -87,19 +87,6 @@ def test_highest_median_and_lowest_tip_are_in_that_order():
     assert heights[0] >= heights[1] >= heights[2]
 
 
-@pytest.mark.parametrize(
-    ('options', 'message'),
-    [
-        ({'step': 0.0}, 'a step above 0'),
-        ({'pretension': 6.0}, 'a pretension from 0 to below the limit'),
-        ({'step': 1e-4}, 'postures are more than 100,000,000; make the step larger'),
-    ],
-)
-def test_sweeps_that_make_no_sense_are_refused(options, message):
-    with pytest.raises(InputError, match=message):
-        Workspace(Model(planar()), [1.0], **options)
-
-
 def test_a_robot_with_one_input_has_no_pair():
     robot = planar()
     with pytest.raises(InputError, match='one input only'):
@@ -272,18 +259,21 @@ def test_where_no_posture_without_friction_is_left_there_is_nothing_to_compare()
 
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize(
-    ('options', 'message'),
+    ('kind', 'options', 'message'),
     [
-        ({'postures': 0}, 'expected 1 to 100,000,000 postures, got 0'),
-        ({'postures': -1}, 'expected 1 to 100,000,000 postures, got -1'),
-        ({'pretension': 5.0, 'limit': 1.0}, 'below the limit, got 5 N and 1 N'),
-        ({'edge': 1e-6}, 'expected cubes of 0.42 mm to the length of the arm, got 0.001 mm'),
-        ({'views': [-1.0]}, 'expected view angles of 0° or more'),
+        (Workspace, {'step': 0.0}, 'a step above 0'),
+        (Workspace, {'pretension': 6.0}, 'a pretension from 0 to below the limit'),
+        (Workspace, {'step': 1e-4}, 'postures are more than 100,000,000; make the step larger'),
+        (Sampling.of, {'postures': 0}, 'expected 1 to 100,000,000 postures, got 0'),
+        (Sampling.of, {'postures': -1}, 'expected 1 to 100,000,000 postures, got -1'),
+        (Sampling.of, {'pretension': 5.0, 'limit': 1.0}, 'below the limit, got 5 N and 1 N'),
+        (Sampling.of, {'edge': 1e-6}, 'expected cubes of 0.42 mm to the length of the arm, got'),
+        (Sampling.of, {'views': [-1.0]}, 'expected view angles of 0° or more'),
     ],
 )
-def test_volumes_that_make_no_sense_are_refused(options, message):
+def test_what_makes_no_sense_is_refused(kind, options, message):
     with pytest.raises(InputError, match=message):
-        Sampling.of(Model(planar()), **options)
+        kind(Model(planar()), **{'views': [1.0], **options})
 
 
 def test_cubes_are_as_small_as_the_shell_of_one_section_lets_them():
