@@ -216,12 +216,13 @@ def driver_for(line, mode='tension', **changes):
     return make_driver('dynamixel', robot(), plain, mode=mode, source='arm.yaml')
 
 
-def running(line, mode='tension', **changes):
-    driver = driver_for(line, mode, **changes)
+def running(line, mode='tension', maker=driver_for, seconds=0.25, **changes):
+    """Give a driver that follows a command, and the command."""
+    driver = maker(line, mode, **changes)
     driver.open()
     driver.enable()
     command = TENSION if mode == 'tension' else PULL
-    cycle(driver, command, 0.25)
+    cycle(driver, command, seconds)
     return driver, command
 
 

@@ -230,13 +230,3 @@ def test_another_robot_takes_no_target_over(other, pull, resume):
     core.aim(reachable((0.3, 0.1, 0.1, 0.5)))
     run(1.0)
     assert place != pytest.approx(before, abs=1e-4)
-
-
-def test_a_target_that_is_looked_for_ends_with_another_robot_too():
-    rig = standing()
-    rig.core.aim(reachable())
-    rig.core.set_model(Model(replace(model().robot, name='another')))
-    before = rig.tensions
-    rig.run(1.0)
-    assert rig.code() == 'holding'
-    assert rig.tensions == pytest.approx(before)

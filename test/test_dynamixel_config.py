@@ -199,6 +199,11 @@ REFUSED = {
         {'calibration': 'nowhere.yaml'},
         r'calibration: expected a readable YAML file',
     ),
+    'a shared motor in tension mode': (
+        {'motors': {name: {'id': 1 + i // 2} for i, name in enumerate(emulated.robot().inputs)}},
+        'motor of its own for every input in tension mode',
+    ),
+    'no limits in pull mode': ({'mode': 'pull', 'pull_limits': None}, r'pull_limits: .*2 numbers'),
 }
 
 
@@ -209,11 +214,6 @@ def test_it_refuses_with_file_key_expectation_and_value(what):
     assert message.startswith('arm.yaml: ')
     assert re.search(pattern, message), message
     assert '\n' not in message
-
-
-def test_a_shared_motor_is_refused_in_tension_mode():
-    motors = {name: {'id': 1 + i // 2} for i, name in enumerate(emulated.robot().inputs)}
-    assert 'motor of its own for every input in tension mode' in refusal(motors=motors)
 
 
 @pytest.mark.parametrize(
@@ -227,10 +227,6 @@ def test_limits_and_rates_may_differ_from_tendon_to_tendon(mode, key, default):
     assert driver.rates.tolist() == [default, 0.5 * default, default, default]
     own, common = ([0.2, 2.0], [0.2, 5.0]) if mode == 'tension' else ([0.0, 0.02], [-0.01, 0.03])
     assert driver.limits.tolist() == [common, own, common, common]
-
-
-def test_pull_mode_needs_pull_limits():
-    assert 'pull_limits: expected a list of 2 numbers' in refusal(mode='pull', pull_limits=None)
 
 
 def latency_file(tmp_path, value):

@@ -1,11 +1,9 @@
 """Every fault of bus and servos, at the driver: what it says, what the motors get, recovery."""
 
-import sys
 import time
 
 import emulated
 import numpy as np
-import processes
 import pytest
 from emulated import (
     arm_in,
@@ -208,23 +206,6 @@ def test_a_motor_that_lost_its_power_stays_off_until_it_is_enabled_again(arm):
     assert not line.servo(4).torque
     driver.enable()
     until(driver, command, healthy)
-
-
-def test_a_second_process_is_kept_off_the_port(tense_arm):
-    driver, line, command = tense_arm
-    code = (
-        'import sys, emulated; from tendon_robot_ros.drivers import make_driver\n'
-        'd = make_driver("dynamixel", emulated.robot(), emulated.config(sys.argv[1]))\n'
-        'd.open()'
-    )
-    run = processes.run(
-        [sys.executable, '-c', code, line.port],
-        cwd=emulated.HERE,
-        env=emulated.environment(),
-    )
-    assert 'DriverError' in run.stderr
-    assert f'{line.port}: another process has the port (process ' in run.stderr
-    assert healthy(until(driver, command, healthy))
 
 
 def test_nothing_was_ever_commanded_beyond_the_limits(arm):

@@ -333,8 +333,7 @@ class ControllerCore(ControllerState):
     @property
     def measured_values(self) -> Floats:
         """The measurement of the commanded quantity, (m,) [N] or [m]; nan where not observable."""
-        state = self.driver.state
-        if state is None:
+        if (state := self.driver.state) is None:
             return np.full(len(self.model.inputs), np.nan)
         return state.pulls if self.settings.pull_mode else state.tensions
 

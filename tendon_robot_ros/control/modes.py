@@ -393,8 +393,7 @@ class NullSpace:
 
     def values(self) -> dict[str, str]:
         """Return the stiffness of the tip for the status."""
-        stiffness = self.stiffness
-        if stiffness is None:
+        if (stiffness := self.stiffness) is None:
             return {}
         softest, towards = stiffness.softest
         values = {'tip_stiffness_softest (N/m)': f'{softest:.4g}'}

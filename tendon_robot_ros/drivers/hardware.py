@@ -64,8 +64,7 @@ class HardwareDriver(Driver):
 
     def _chosen(self, inputs: Sequence[str]) -> Bools:
         """Return a mask (m,) of the named inputs; none named means all."""
-        unknown = [name for name in inputs if name not in self.inputs]
-        if unknown:
+        if unknown := [name for name in inputs if name not in self.inputs]:
             raise DriverError(
                 f'expected inputs of {", ".join(self.inputs)}, got {", ".join(unknown)}'
             )
@@ -157,8 +156,7 @@ def fields_of_inputs(
     """
     mapping = top.child(key)
     mapping.only(*robot.inputs)
-    missing = [name for name in robot.inputs if not mapping.has(name)]
-    if missing:
+    if missing := [name for name in robot.inputs if not mapping.has(name)]:
         expected = f'{what} for every input of the robot'
         raise top.error(key, expected, f'none for {", ".join(missing)}')
     return {name: mapping.child(name) for name in robot.inputs}

@@ -61,8 +61,7 @@ def compiled_firmware(channels: int) -> bytes:
         The sources or a C compiler are missing, or it refuses.
 
     """
-    found = shared_file(f'firmware/{SOURCES[0]}')
-    if found is None:
+    if (found := shared_file(f'firmware/{SOURCES[0]}')) is None:
         raise DriverError('the folder firmware is missing; install the package again')
     source, cc = found.parent, compiler()
     if cc is None:

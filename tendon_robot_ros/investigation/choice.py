@@ -244,8 +244,7 @@ class LinearDesign:
     def rows(self, dataset: DataSet) -> list[Floats]:
         """Return whitened derivatives (values, columns) for every posture of a data set."""
         point, predictor = self.question.point, Predictor(dataset, self.robot, self.catalogue)
-        markers = predictor.markers(point)
-        if markers is None:
+        if (markers := predictor.markers(point)) is None:
             return []
         slopes = []
         for free in self.frees:
@@ -284,8 +283,7 @@ class LinearDesign:
         # a long step, so that laws with a threshold show; shorter where there is no equilibrium
         for fraction in STEP_LENGTHS[1:]:
             step = free.parameter.step(value, fraction)
-            moved = predictor.markers({**point, free: value + step})
-            if moved is not None:
+            if (moved := predictor.markers({**point, free: value + step})) is not None:
                 return (moved - markers) / step
         return np.zeros_like(markers)
 

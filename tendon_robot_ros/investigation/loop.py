@@ -162,10 +162,8 @@ class Investigation:
                 return InvestigationEnd.CHANGED
         while True:
             have = len(self.dataset.postures)
-            if have >= self.goal.start:
-                outcome = self.judge()
-                if outcome is not None:
-                    return outcome
+            if have >= self.goal.start and (outcome := self.judge()) is not None:
+                return outcome
             if have >= self.goal.postures or time.monotonic() > self._deadline:
                 return InvestigationEnd.BUDGET
             count = self.goal.start - have if have < self.goal.start else self.goal.at_once
@@ -311,8 +309,7 @@ class Investigation:
         for row in rows:
             if len(check.postures) == self.goal.checks:
                 break
-            measured = self.measurer.attempted(row)
-            if measured is not None:
+            if (measured := self.measurer.attempted(row)) is not None:
                 check = measuring.with_posture(check, row, measured, self.arm.position_noise)
                 self.report('check', f'  fresh posture {len(check.postures)} measured', {})
         return check if len(check.postures) else None

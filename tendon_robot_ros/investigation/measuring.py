@@ -244,8 +244,7 @@ class Measurer:
         data = {'number': number, 'inputs': inputs.tolist(), 'most': self.goal.postures, **content}
         text = f'posture {number}: {commands(named, self.arm.input)}   {why}'
         self.report('posture', text, data)
-        measured = self.attempted(inputs)
-        if measured is not None:
+        if (measured := self.attempted(inputs)) is not None:
             self.record.take(inputs, measured, self.arm.position_noise)
         return measured
 
@@ -342,17 +341,15 @@ def separate_changes(
         more = f' and {len(names) - 3} more' if len(names) > 3 else ''
         first = ', '.join(names[:3])
         why = f'separates {first}{more}' if len(names) > 1 else f'is to confirm {first}'
-        measured = measurer.next(rows[best], why, {'asked': names})
-        if measured is not None:
-            inputs = rows[best]
+        inputs = rows[best]
+        if (measured := measurer.next(inputs, why, {'asked': names})) is not None:
             if measured.inputs is not None:
                 inputs = np.nanmean(measured.inputs, axis=0)
             # all trials of a posture are one measurement
             finder.take(inputs, mean_over(measured.positions, 0), measured.frames)
             suspects = finder.suspects()
             report_suspects(measurer, suspects)
-    rest = likely(suspects)
-    if rest:
+    if rest := likely(suspects):
         have = len(measurer.record.dataset.postures)
         content = {'names': [suspect.name for suspect in rest], 'postures': have}
         measurer.report('changed', f'  {have} postures: has changed: {sizes(rest)}', content)

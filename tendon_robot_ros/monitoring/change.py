@@ -121,8 +121,7 @@ def changes_of(arm: BuiltArm) -> tuple[PossibleChange, ...]:
     count = 0
     for kind in arm.kinds:
         indices, count = range(count, count + len(kind)), count + len(kind)
-        what = {CELLS: 'stiffness of', GAIN: 'gain of'}.get(kind.name)
-        if what is not None:
+        if what := {CELLS: 'stiffness of', GAIN: 'gain of'}.get(kind.name):
             usual = np.full(1, kind.plausible)
             changes += [
                 PossibleChange(f'{what} {name}', ('relative_change',), usual, (), slice(i, i + 1))

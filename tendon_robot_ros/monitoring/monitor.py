@@ -310,14 +310,12 @@ class Monitor:
 
     def put_frame(self, time: float, positions: Floats) -> Compared | None:
         """Add a frame (J, 3) [m] and return it with its prediction, None without one."""
-        state = self.states.at(time)
-        if state is None:
+        if (state := self.states.at(time)) is None:
             self.problem = 'no tendon_states at the time of the tracker: is the driver running?'
             return None
         quiet = self._quiet(time)
         tensions, pulls = np.split(state if quiet is None else quiet, 2)
-        shape = self._predict(tensions, pulls)
-        if shape is None:
+        if (shape := self._predict(tensions, pulls)) is None:
             return None
         self.problem = ''
         points = self.model.measured(shape.markers(self._arcs, self._offsets)[None])[0]

@@ -139,8 +139,7 @@ def finite(name: str, values: object, size: int) -> Floats:
 
 def _in_order(what: str, robot: Robot, values: Any, absent: float | None) -> Any:
     """Return values in the order of the inputs; `absent` replaces missing ones, None: refused."""
-    named = named_columns(values)
-    if named is None:
+    if (named := named_columns(values)) is None:
         return values
     unknown = [name for name in named if name not in robot.inputs]
     missing = [name for name in robot.inputs if absent is None and name not in named]

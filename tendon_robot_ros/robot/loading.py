@@ -119,14 +119,12 @@ def dump_robot(robot: RobotLike) -> str:
 
 def section_to_yaml(section: Section) -> dict[str, Any]:
     """Return the keys of a section but for usual masses; what all cells share stands once."""
-    plain = dict(vars(section))
-    for key in ('bending_stiffness', 'mass_profile', 'mass_offset'):
-        if len(set(plain[key])) == 1:
-            plain[key] = plain[key][0]
-    for key, usual in (('mass_profile', 1.0), ('mass_offset', ())):
-        if plain[key] == usual:
-            del plain[key]
-    return plain
+    usual = {'mass_profile': 1.0, 'mass_offset': ()}
+    plain = {
+        key: value[0] if isinstance(value, tuple) and len(set(value)) == 1 else value
+        for key, value in vars(section).items()
+    }
+    return {key: value for key, value in plain.items() if value != usual.get(key)}
 
 
 def tendon_to_yaml(tendon: Tendon) -> dict[str, Any]:
@@ -138,8 +136,6 @@ def tendon_to_yaml(tendon: Tendon) -> dict[str, Any]:
         offset = {'base': tendon.base, 'end': tendon.end}
         if tendon.helix:
             offset['helix'] = tendon.helix
-    plain = {'name': tendon.name, 'offset': offset, 'section': tendon.section}
-    for key, usual in (('drum', None), ('winding', 1), ('group', None)):
-        if getattr(tendon, key) != usual:
-            plain[key] = getattr(tendon, key)
-    return plain
+    own = {key: getattr(tendon, key) for key in ('drum', 'winding', 'group')}
+    own = {key: value for key, value in own.items() if value != getattr(Tendon, key)}
+    return {'name': tendon.name, 'offset': offset, 'section': tendon.section, **own}

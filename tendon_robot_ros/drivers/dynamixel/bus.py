@@ -178,8 +178,7 @@ class Bus(PortLink):
 
     def second_talker(self) -> str:
         """Listen for a moment; return the name of another program on this bus, '' for none."""
-        who = held_by(self.path, others=True)
-        if who:
+        if who := held_by(self.path, others=True):
             return who
         with contextlib.suppress(PortLostError), self.conversation():
             time.sleep(ANSWER_TIMEOUT_S)  # what comes later is no late answer

@@ -146,8 +146,7 @@ def fit_current(points: Sequence[CurrentPoint]) -> Calibration:
 
     """
     tensions, *currents = np.reshape(points, (-1, 3)).T
-    different = len(np.unique(tensions))
-    if different < hardware.WEIGHTS_MIN:
+    if (different := len(np.unique(tensions))) < hardware.WEIGHTS_MIN:
         raise InputError(
             f'calibration: expected at least {hardware.WEIGHTS_MIN} different weights, '
             f'got {different}'

@@ -158,8 +158,7 @@ class DynamixelDriver(PortDriver):
             f'and hold up to {strongest[2]:.3g} N ({strongest[0].name}, tension_limit '
             f'{strongest[0].tension_limit:g} N): between them is the friction of the gear'
         )
-        assumed = [wire.name for wire, *_ in wires if not wire.calibration.measured]
-        if assumed:
+        if assumed := [wire.name for wire, *_ in wires if not wire.calibration.measured]:
             text += f', which is assumed: calibrate {", ".join(assumed)} (docs/dynamixel.md)'
         return text
 

@@ -118,8 +118,7 @@ SETTINGS = (
 def must_write(bus: Bus, motor: Motor, name: str, value: int) -> None:
     """Write a register in a few attempts; raise DriverError when the servo refuses."""
     for _ in range(ATTEMPTS):
-        problem = bus.write(motor.identity, name, value)
-        if problem is None:
+        if (problem := bus.write(motor.identity, name, value)) is None:
             return
     raise DriverError(f'{bus.path}: {motor}: {name} = {value}: {problem}')
 
@@ -127,8 +126,7 @@ def must_write(bus: Bus, motor: Motor, name: str, value: int) -> None:
 def read_table(bus: Bus, motor: Motor) -> dict[str, int]:
     """Read all registers of a servo; raise DriverError where it does not answer."""
     for _ in range(ATTEMPTS):
-        table = bus.table(motor.identity)
-        if table is not None:
+        if (table := bus.table(motor.identity)) is not None:
             return table
     if bus.ping(motor.identity) is not None:
         raise DriverError(
@@ -212,8 +210,7 @@ def naming_second_talker(bus: Bus) -> Iterator[None]:
     try:
         yield
     except DriverError as error:
-        talker = bus.second_talker()
-        if not talker:
+        if not (talker := bus.second_talker()):
             raise
         raise type(error)(f'{bus.path}: {talker}; one program at a time: stop it first') from None
 
@@ -250,8 +247,7 @@ def shake_hands(bus: Bus, config: DynamixelConfig, motors: dict[int, Motor]) -> 
 
 def refuse_servos(bus: Bus, motors: dict[int, Motor], models: dict[int, int]) -> None:
     """Raise DriverError with the expected servos and those that answer (0: no answer)."""
-    without = {i: WITHOUT_CURRENT[n] for i, n in models.items() if n in WITHOUT_CURRENT}
-    if without:
+    if without := {i: WITHOUT_CURRENT[n] for i, n in models.items() if n in WITHOUT_CURRENT}:
         named = ', '.join(f'{identity}: {name}' for identity, name in without.items())
         raise DriverError(f'{bus.path}: model: expected {INSTEAD}, found {named}')
     present = {i: number for i, number in models.items() if number} | bus.everyone()
@@ -363,8 +359,7 @@ def torque_on(bus: Bus, motors: Collection[Motor], mode: int, watchdog: int) -> 
 
     """
     for motor in motors:
-        errors = bus.read(motor.identity, 'hardware_error_status')
-        if errors:
+        if errors := bus.read(motor.identity, 'hardware_error_status'):
             words = ', '.join(bit.words for bit in HardwareError if errors & bit)
             raise DriverError(f'{bus.path}: {motor}: {words}; remove the cause, then reboot it')
         must_write(bus, motor, 'torque_enable', 0)

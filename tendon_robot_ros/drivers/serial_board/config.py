@@ -70,8 +70,7 @@ def fit_counts(points: Sequence[CountsPoint]) -> Cell:
 
     """
     tensions, counts, spreads = np.reshape(points, (-1, 3)).T
-    different = len(np.unique(tensions))
-    if different < hardware.WEIGHTS_MIN:
+    if (different := len(np.unique(tensions))) < hardware.WEIGHTS_MIN:
         raise InputError(
             f'calibration: expected at least {hardware.WEIGHTS_MIN - 1} different weights besides '
             f'none, got {different - 1}'

@@ -200,8 +200,7 @@ class SerialDriver(PortDriver):
     def _refuse_latched(self, inputs: Sequence[str] = ()) -> None:
         """Raise DriverError with the faults that the board has latched, for some inputs or all."""
         faults = self._latched_faults()
-        remaining = [f.message for f in faults if not inputs or f.inputs[0] in inputs]
-        if remaining:
+        if remaining := [f.message for f in faults if not inputs or f.inputs[0] in inputs]:
             raise DriverError('; '.join(remaining))
 
     def _converse(self, now: float) -> None:

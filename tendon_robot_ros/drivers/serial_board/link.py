@@ -85,8 +85,7 @@ class BoardLink(PortLink):
         with self.conversation() as port:
             if not select.select([port.fileno()], [], [], max(wait, 0.0))[0]:
                 return []
-            data = os.read(port.fileno(), io.DEFAULT_BUFFER_SIZE)
-            if not data:
+            if not (data := os.read(port.fileno(), io.DEFAULT_BUFFER_SIZE)):
                 raise OSError('end of file')
         frames = self.receiver.feed(data)
         for frame in frames:
