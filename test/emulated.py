@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import processes
+import pytest
 import yaml
 from forked import Forked
 
+from tendon_robot_ros.common.errors import DriverError
 from tendon_robot_ros.drivers import make_driver
 from tendon_robot_ros.drivers.dynamixel.control_table import MODELS
 from tendon_robot_ros.drivers.interface import CYCLE_S
@@ -224,6 +226,13 @@ def running(line, mode='tension', maker=driver_for, seconds=0.25, **changes):
     command = TENSION if mode == 'tension' else PULL
     cycle(driver, command, seconds)
     return driver, command
+
+
+def refused(line, driver, words, kind=DriverError):
+    """Check that the torque is refused in these words, and off."""
+    with pytest.raises(kind, match=words):
+        driver.enable()
+    assert not any(servo.torque for servo in line.rig.servos.values())
 
 
 def arm_in(mode, **changes):

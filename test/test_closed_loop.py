@@ -1,43 +1,36 @@
 """The integral on the measured tip: it removes what the model misses, and knows when to freeze."""
 
+import control_rig
 import numpy as np
 import pytest
+from control_rig import CYCLE, model, reachable
 
-from tendon_robot_ros.control import ControllerCore, Settings, Target
+from tendon_robot_ros.control import Target
 from tendon_robot_ros.model.model import Model
-from tendon_robot_ros.robot import load_robot
-
-RATE = 0.01  # [s]
 
 
-class Rig:
+class Rig(control_rig.Rig):
     """A controller whose arm is softer than its model says."""
 
     def __init__(self, gain=2.0):
-        robot = load_robot('kato_10_1')
-        self.model = Model(robot)
-        self.arm = Model(robot.with_effect('backbone_stiffness', {'relative_change': -0.05}))
-        self.core = ControllerCore(self.model, Settings(tip_gain=gain))
-        self.now = 0.0
-        self.tensions = self.model.limits[:, 0].copy()
-        self.shift = np.zeros(3)
+        super().__init__(tip_gain=gain)
+        softer = {'relative_change': -0.05}
+        self.arm = Model(model().robot.with_effect('backbone_stiffness', softer))
 
     def run(self, seconds, track=True):
-        for step in range(round(seconds / RATE)):
-            self.now += RATE
-            self.core.measured(self.now, self.tensions, np.full(4, np.nan))
-            output = self.core.step(self.now)
-            self.tensions = output.tensions
-            if track and step % 3 == 0:
-                self.core.tip_measured(self.now, self.tip() + self.shift)
+        super().run(seconds, self.see if track else None)
+
+    def see(self, _):
+        if round(self.now / CYCLE) % 6 == 0:
+            self.core.tip_measured(self.now, self.tip())
 
     def tip(self):
         return self.arm.shape(self.tensions).tip_position
 
     def aim(self):
-        there = self.model.shape([0.5, 0.1, 0.1, 0.6])
-        self.core.aim(Target(there.tip_position, there.tip_direction))
-        return there.tip_position
+        target = reachable((0.5, 0.1, 0.1, 0.6))
+        self.core.aim(target)
+        return target.position
 
 
 @pytest.fixture
@@ -63,7 +56,7 @@ def test_a_jump_of_the_tracker_changes_nothing(rig):
     rig.aim()
     rig.run(5.0)
     before = rig.tensions.copy()
-    rig.now += RATE
+    rig.now += CYCLE
     rig.core.tip_measured(rig.now, rig.tip() + 0.05)
     assert rig.core.loop.frozen == 'tracker jumped'
     rig.run(0.02, track=False)
@@ -87,8 +80,8 @@ def test_at_a_limit_the_integral_does_not_wind_up(rig):
     wound = rig.core.loop.tensions
     rig.run(3.0)
     assert np.array_equal(rig.core.loop.tensions, wound) or rig.core.loop.frozen == ''
-    assert np.all(rig.tensions <= rig.model.limits[:, 1])
-    assert np.all(rig.tensions >= rig.model.limits[:, 0])
+    assert np.all(rig.tensions <= model().limits[:, 1])
+    assert np.all(rig.tensions >= model().limits[:, 0])
 
 
 def test_a_new_model_begins_without_correction(rig):
@@ -96,7 +89,7 @@ def test_a_new_model_begins_without_correction(rig):
     rig.run(4.0)
     before = rig.tensions.copy()
     rig.core.set_model(rig.arm)
-    rig.run(RATE, track=False)
+    rig.run(CYCLE, track=False)
     assert np.abs(rig.tensions - before).max() <= 10.0 * 0.011  # no jump: the rate limit
     rig.run(2.0)
     assert np.linalg.norm(rig.tip() - target) < 5e-5

@@ -123,9 +123,7 @@ def test_a_register_that_does_not_keep_what_is_written_is_refused(monkeypatch):
             lambda name, value: None if name == 'profile_velocity' else accept(name, value),
         )
         monkeypatch.setattr(servo, '_mode_to_defaults', lambda: None)
-        with pytest.raises(DriverError, match=r'velocity \(address 112\): 0 was written, 3'):
-            driver.enable()
-        assert not any(servo.torque for servo in line.rig.servos.values())
+        emulated.refused(line, driver, r'velocity \(address 112\): 0 was written, 3')
 
 
 @pytest.mark.parametrize(
@@ -159,24 +157,16 @@ def test_a_motor_that_was_without_power_for_a_moment_does_not_wind_on(mode, torq
 
 
 @pytest.mark.parametrize(
-    ('register', 'value', 'words'),
-    [
-        ('goal_pwm', 20, 'stands still with 0.0'),
-        ('position_p_gain', 0, 'stands still with 0.0'),
-        ('profile_velocity', 1, 'stands still with 0.0'),
-    ],
+    ('register', 'value'), [('goal_pwm', 20), ('position_p_gain', 0), ('profile_velocity', 1)]
 )
-def test_a_motor_held_back_by_something_else_has_not_found_its_wire(
-    register, value, words, monkeypatch
-):
+def test_a_motor_held_back_by_something_else_has_not_found_its_wire(register, value, monkeypatch):
     """Whoever writes a register while the slack is looked for makes no zero of it."""
     monkeypatch.setattr(motions, 'TURNING_TIMEOUT_S', 0.4)
     with emulated.stepped() as line, emulated.driver_for(line, 'pull') as driver:
         driver.cancelled = lambda: line.servo(1).put(register, value)
-        with pytest.raises(MovedError, match=rf'east \(id 1\): ({words}|does not turn)'):
-            driver.enable()
+        words = r'east \(id 1\): (stands still with 0.0|does not turn)'
+        emulated.refused(line, driver, words, MovedError)
         assert driver.motors[1].zero is None
-        assert not any(servo.torque for servo in line.rig.servos.values())
 
 
 HOLDER = (

@@ -200,9 +200,7 @@ def test_a_motor_that_does_not_turn_is_refused_and_the_torque_is_off():
     with stepped() as line, driver_for(line, 'pull', home_tension=0.3) as driver:
         motion = line.servo(3).motion  # its gear does not move below 0.5 A
         motion.model = replace(motion.model, stall_current=0.5 / FRICTION_CURRENT)
-        with pytest.raises(DriverError, match=r'west \(id 3\): does not turn with 0\.1\d\d A'):
-            driver.enable()
-        assert not any(servo.torque for servo in line.rig.servos.values())
+        emulated.refused(line, driver, r'west \(id 3\): does not turn with 0\.1\d\d A')
 
 
 def test_a_motor_that_winds_too_slowly_is_named(monkeypatch):
@@ -211,9 +209,7 @@ def test_a_motor_that_winds_too_slowly_is_named(monkeypatch):
     changes = {'home_speed': 0.1, 'home_travel': 0.1}
     with stepped(arm=arm) as line, driver_for(line, 'pull', **changes) as driver:
         driver.cancelled = lambda: line.servo(3).put('profile_velocity', 24)  # 11 mm/s
-        with pytest.raises(DriverError, match=r': west \(id 3\): looking for slack took too long'):
-            driver.enable()
-        assert not any(servo.torque for servo in line.rig.servos.values())
+        emulated.refused(line, driver, r': west \(id 3\): looking for slack took too long')
 
 
 def trip(line):
@@ -242,18 +238,14 @@ def test_a_computer_that_is_always_late_does_not_find_the_slack(monkeypatch):
     monkeypatch.setattr(motions, 'HICCUPS_MAX', 1)
     with stepped(slack=0.02) as line, driver_for(line, 'pull') as driver:
         driver.cancelled = lambda: trip(line)
-        with pytest.raises(DriverError, match='late again and again; torque is off'):
-            driver.enable()
-        assert not any(servo.torque for servo in line.rig.servos.values())
+        emulated.refused(line, driver, 'late again and again; torque is off')
 
 
 def test_the_search_for_slack_can_be_cancelled():
     with emulated.line(slack=0.02) as line, driver_for(line, 'pull') as driver:
         end = time.monotonic() + 0.2
         driver.cancelled = lambda: time.monotonic() > end
-        with pytest.raises(DriverError, match='cancelled; torque is off'):
-            driver.enable()
-        assert not any(servo.torque for servo in line.rig.servos.values())
+        emulated.refused(line, driver, 'cancelled; torque is off')
 
 
 def test_two_tendons_on_one_motor_have_their_zero_half_way_between_their_slack():

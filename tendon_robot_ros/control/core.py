@@ -75,7 +75,7 @@ class ControllerCore(ControllerState):
             return  # a joystick at rest does not replace a target
         self.search = self.pending_trajectory = None
         if isinstance(self.mode, FollowTwist):
-            self.mode.take(now, twist)
+            self.mode.twist, self.mode.received = twist, now
         else:
             self.mode = FollowTwist(twist, now)
             begin = partial(self.mode.begin, self.track)

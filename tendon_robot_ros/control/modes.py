@@ -137,10 +137,6 @@ class FollowTwist(Mode):
             self.position, self.direction = shape.tip_position.copy(), shape.tip_direction.copy()
             self.axes = shape.frames[-1].copy()
 
-    def take(self, now: float, twist: Twist) -> None:
-        """Take the next velocity."""
-        self.twist, self.received = twist, now
-
     def step(self, state: ControllerState, passed: float) -> Floats | None:
         """Request the next tensions from the solver; return the last ones that it found."""
         timed_out = state.time - self.received > state.settings.twist_timeout
