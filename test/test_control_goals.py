@@ -93,13 +93,17 @@ def test_progress_tells_distance_and_time_that_are_left():
     assert 0.1 * way < told[-1].distance < 0.9 * way
 
 
-def test_a_cancelled_goal_holds_the_arm_where_it_is_commanded_to_be():
+def test_a_trajectory_tells_where_the_tendons_are_and_when_cancelled_holds_them_there():
     rig, goal = Rig(rate_limit=10.0), MotionGoal([trajectory()])
     pursue(rig, goal, 0.5)
+    progress = goal.progress(rig.core, rig.now)
+    assert progress.desired == pytest.approx([0.6, 0.1, 0.1, 0.35], abs=1e-9)
+    assert progress.actual == pytest.approx(progress.desired, abs=0.01)
+    assert progress.remaining == pytest.approx(0.5)
     goal.cancel(rig.core, rig.now)
     held = rig.tensions
     rig.run(1.0)
-    assert held == pytest.approx([0.6, 0.1, 0.1, 0.35], abs=0.01)
+    assert held == pytest.approx(progress.desired, abs=0.01)
     assert rig.tensions == pytest.approx(held)
     assert rig.code() == 'holding'
 
@@ -168,15 +172,6 @@ def test_a_goal_that_is_refused_leaves_the_one_before():
     rig.run(0.1)
     goal.begin(rig.core, rig.now)
     assert followed(rig.core) == 'goal/0'
-
-
-def test_a_trajectory_tells_where_the_tendons_should_be_and_are():
-    rig, goal = Rig(rate_limit=10.0), MotionGoal([trajectory()])
-    pursue(rig, goal, 0.5)
-    progress = goal.progress(rig.core, rig.now)
-    assert progress.desired == pytest.approx([0.6, 0.1, 0.1, 0.35], abs=1e-9)
-    assert progress.actual == pytest.approx(progress.desired, abs=0.01)
-    assert progress.remaining == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(

@@ -61,8 +61,8 @@ class StatusError(IntEnum):
 
 
 PRESENT = {name for name in REGISTERS if name.startswith('present_')}
-READ_ONLY = PRESENT | {'model_number', 'firmware_version', 'hardware_error_status', 'moving'}
-GOALS = ('goal_pwm', 'goal_current', 'goal_velocity', 'goal_position')
+READ_ONLY = PRESENT | {'model_number', 'firmware_version', 'hardware_error_status'}
+GOALS = ('goal_pwm', 'goal_current', 'goal_position')
 WITHIN_LIMIT = {'goal_current': 'current_limit', 'goal_pwm': 'pwm_limit'}
 # of the XL330-M077, by its manual; only the position's own counts here
 GAINS = {
@@ -340,10 +340,8 @@ class Servo:
 
     def _mode_to_defaults(self) -> None:
         """Reset what a new operating mode resets: gains, profile, goals, PWM."""
-        for name, value in GAINS.items():
+        for name, value in (GAINS | {'profile_velocity': 0, 'profile_acceleration': 0}).items():
             self.put(name, value)
-        self.put('profile_velocity', 0)
-        self.put('profile_acceleration', 0)
         if self.get('operating_mode') == OperatingMode.CURRENT_BASED_POSITION:
             self.put('pwm_limit', Counts.PWM_FULL)
         in_current_mode = self.get('operating_mode') == OperatingMode.CURRENT
@@ -403,4 +401,3 @@ class Servo:
         self.put('present_temperature', round(self.temperature))
         volt = REGISTERS['present_input_voltage'].unit
         self.put('present_input_voltage', round(self.voltage / volt))
-        self.put('moving', int(abs(motion.speed) > 0.01))

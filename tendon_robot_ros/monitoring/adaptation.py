@@ -172,9 +172,8 @@ class RecursiveEstimate:
         for one in self._filters:
             known = one.covariance.copy()
             known[: one.p, : one.p] += np.eye(one.p)  # for parameters that have moved
-            spread = columns @ known @ columns.T + noise + one.remainder**2 * remainder
-            own = off - columns @ (one.mean - at)
-            chi2_min = min(chi2_min, float(own @ np.linalg.solve(spread, own)))
+            spread, own = noise + one.remainder**2 * remainder, off - columns @ (one.mean - at)
+            chi2_min = min(chi2_min, kalman_update(one.mean, known, columns, own, spread).chi2)
         return chi2_min
 
 
