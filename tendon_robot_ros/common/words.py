@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from .errors import InputError
@@ -128,6 +128,14 @@ def listed(names: Iterable[str], last: str = 'and') -> str:
     """Join names: 'a, b and c'."""
     *first, end = list(names) or ['nothing']
     return f'{", ".join(first)} {last} {end}' if first else end
+
+
+def grouped[T, K](items: Iterable[T], by: Callable[[T], K]) -> dict[K, list[T]]:
+    """Group items by a key; groups and their members stay in order."""
+    groups: dict[K, list[T]] = {}
+    for item in items:
+        groups.setdefault(by(item), []).append(item)
+    return groups
 
 
 def capital(sentence: str) -> str:

@@ -28,7 +28,7 @@ import numpy as np
 from ..cli.main import ExitCode
 from ..cli.options import add_cluster, declare, emit, progress
 from ..common.colours import BAND, ERROR, PREDICTED, line_style
-from ..common.words import columns, digits
+from ..common.words import columns, digits, grouped
 from ..common.workers import Workers
 from ..diagnosis.verdict import Verdict
 from ..model.versions import Preparation
@@ -36,7 +36,7 @@ from ..report.page import Figure, Page, Trace, axes, curve, error_bars, titled, 
 from ..simulation.hidden import CAUSES
 from . import judge
 from .cases import NOTHING
-from .judge import NAMING, CaseRow, Power, Rate, grouped
+from .judge import NAMING, CaseRow, Power, Rate
 from .plan import earlier_rows, read_plan, run_plan, table_of
 
 HELP = 'simulate and diagnose many robots: what would be seen, how often is it right'
@@ -94,26 +94,25 @@ HIDDEN_MEANING = (
 def hidden_rows(rows: Sequence[CaseRow]) -> list[list[str]]:
     """Return a row per robot and hidden effect: rates and accuracy; the names come first."""
     table: list[dict[str, str]] = []
-    for (robot, hidden), members in grouped(rows, lambda r: (r.robot, r.hidden)).items():
+    groups = grouped(rows, lambda row: (row.robot, row.hidden)).items()
+    for ((robot, hidden), members), rate in zip(groups, judge.rates_by_hidden(rows), strict=True):
         verdicts = collections.Counter(row.verdict for row in members)
-        visible = [row for row in members if row.visible]
         is_effect = hidden not in (NOTHING, *CAUSES)
         named = [row for row in members if row.verdict in NAMING]
-        inside = [held for row in members for held in row.held]
         removed = [row.gone for row in members if row.gone is not None and hidden != NOTHING]
         alike = [max(len(row.group), 1) for row in named]
         cells = {
             'hidden': f'{robot}: {hidden}',
             'n': f'{len(members)}',
-            'right': f'{np.mean([row.right for row in members]):.0%}',
-            'seen': f'{len(visible)}',
-            'right of these': f'{Rate.of(row.right for row in visible)}' if is_effect else '–',
-            'wrong name': f'{sum(row.wrong_name for row in members)}',
+            'right': f'{rate["right"].share:.0%}',
+            'seen': f'{rate["right_if_seen"].runs}',
+            'right of these': f'{rate["right_if_seen"]}' if is_effect else '–',
+            'wrong name': f'{rate["wrong_names"].hits}',
             'quiet': f'{verdicts[Verdict.ADEQUATE]}',
             'outside': f'{verdicts[Verdict.OUTSIDE_CATALOGUE]}',
             'some at once': f'{verdicts[Verdict.SEVERAL]}',
             'class': f'{np.mean(alike):.1f}' if named else '–',
-            'inside': f'{np.mean(inside):.0%}' if inside else '–',
+            'inside': f'{rate["inside"].share:.0%}' if rate['inside'].runs else '–',
             'gone': f'{np.median(removed):.0%}' if removed else '–',
             'time': f'{np.median([row.seconds for row in members]):.1f} s',
         }

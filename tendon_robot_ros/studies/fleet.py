@@ -29,7 +29,7 @@ import numpy.typing as npt
 from ..cli.options import add_cluster, declare, emit, progress
 from ..common.colours import BEFORE, FLOOR, PREDICTED
 from ..common.errors import InputError, TendonRobotError
-from ..common.words import columns, counted, digits, listed, mm, scale_of
+from ..common.words import columns, counted, digits, grouped, listed, mm, scale_of
 from ..common.workers import Workers
 from ..common.yaml_reading import parse_yaml
 from ..data import DataSet, load_dataset
@@ -40,7 +40,7 @@ from ..inference.intervals import Value
 from ..model.versions import Preparation, UserEffect, catalogue_of, versions
 from ..report.page import Figure, Page, axes, error_bars, mm_list, plain, titled, trace
 from ..robot import dump_robot
-from .judge import diagnosis_fields, fitted_values, grouped
+from .judge import diagnosis_fields, fitted_values
 from .running import ERROR, TABLE, GrowingTable, Row, Study, judge_all
 
 HELP = 'diagnose all recordings of many robots, and say what changed when'

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..common.results import plain
+from ..common.words import grouped
 from ..diagnosis.add import add_effects
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, found_values
@@ -397,14 +398,6 @@ def rates_by_hidden(rows: Sequence[CaseRow]) -> list[dict[str, Any]]:
         }
         for (robot, hidden), members in grouped(rows, lambda r: (r.robot, r.hidden)).items()
     ]
-
-
-def grouped[T, K](items: Iterable[T], by: Callable[[T], K]) -> dict[K, list[T]]:
-    """Group items, such as rows, by a key."""
-    groups: dict[K, list[T]] = {}
-    for item in items:
-        groups.setdefault(by(item), []).append(item)
-    return groups
 
 
 def to_json(rows: Sequence[CaseRow]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..common.arrays import Bools, Floats
 from ..common.errors import DataSetError, short
 from ..common.results import pandas
-from ..common.words import Unit, find_unit, split_name
+from ..common.words import Unit, find_unit, grouped, split_name
 
 # [1] times what is usual, because what is more is something else: motion, or another marker
 UNUSUAL_FACTOR = 10.0
@@ -311,10 +311,8 @@ def guess_inputs(
     values to commanded ones.
     """
     for kind in KINDS:
-        groups: dict[tuple[str, ...], list[ColumnName]] = {}
-        for name in names:
-            if name.axis == '' and name.kind == kind:
-                groups.setdefault(tuple(sorted(COMMANDED & set(name.words))), []).append(name)
+        fitting = [name for name in names if name.axis == '' and name.kind == kind]
+        groups = grouped(fitting, lambda name: tuple(sorted(COMMANDED & set(name.words))))
         for group in sorted(groups):  # without such a word first: measured
             own = groups[group]
             if named := _by_name(own, inputs):

@@ -15,7 +15,7 @@ import numpy as np
 from ..common.arrays import Floats
 from ..common.errors import DataSetError
 from ..common.rotations import angle_between
-from ..common.words import listed, listing, mm
+from ..common.words import grouped, listed, listing, mm
 from ..data import DataSet, default_markers
 from ..inference.statistics import mean_over
 from ..robot import Robot
@@ -116,25 +116,20 @@ def choose_points(tables: Sequence[RawTable], choice: str | None) -> Points:
 
 def _by_quantity(triples: Iterable[Triple]) -> list[str]:
     """Name triples that are not used by their quantity: 'rotations (tag 1 rvec and 3 more)'."""
-    by: dict[str, list[str]] = {}
-    for triple in triples:
-        what = triple.quantity or triple.kind
-        by.setdefault(what, []).append(marker_label(triple.columns))
     return [
-        f'{what} ({names[0]}{f" and {len(names) - 1} more" if len(names) > 1 else ""})'
-        for what, names in by.items()
+        f'{what} ({marker_label(own[0].columns)}{f" and {len(own) - 1} more" if own[1:] else ""})'
+        for what, own in grouped(triples, lambda one: one.quantity or one.kind).items()
     ]
 
 
 def _rims(markers: Sequence[Triple]) -> list[list[Triple]]:
     """Return the markers that form a rim: of one body or prefix, at fixed places on a circle."""
-    groups: dict[str, list[Triple]] = {}
-    for triple in markers:
-        body, mark, _ = triple.columns[0].rpartition(':')
-        groups.setdefault(body if mark else ' '.join(triple.name[:-1]), []).append(triple)
+    bodies = grouped(
+        markers, lambda one: one.columns[0].rpartition(':')[0] or ' '.join(one.name[:-1])
+    )
     return [
         group
-        for group in groups.values()
+        for group in bodies.values()
         if len(group) >= 3 and _is_rim(np.stack([t.places() for t in group], axis=1))
     ]
 

@@ -165,7 +165,7 @@ class StillMeasurements:
         if not segments:
             times = [one.recording.tracks[0].times for one in traces]
             raise never_still(name, motions, times, rule)
-        compared = segments[: int(np.sqrt(VALUES_MAX))]  # each with each
+        compared = np.nan_to_num([one.inputs for one in segments[: int(np.sqrt(VALUES_MAX))]])
         self.same = _guess_same(compared) if recipe.same is None else recipe.same
         rest = recipe.rest
         if rest is None:
@@ -318,17 +318,16 @@ def _without_gaps(recording: Recording, stretches: Sequence[tuple[float, float]]
     return replace(recording, tracks=(replace(track, positions=positions),))
 
 
-def _guess_same(segments: Sequence[Segment]) -> float:
+def _guess_same(inputs: Floats) -> float:
     """
-    Return the difference of inputs up to which segments are trials of one posture.
+    Return the difference up to which inputs (N, m) are those of trials of one posture.
 
     Trials differ by what motors and load cells scatter, postures by what somebody chose: between
     the two there is a gap.
     """
-    inputs = np.nan_to_num([one.inputs for one in segments])
     size = float(np.abs(inputs).max()) or 1.0
     usual = float(f'{INPUT_TOLERANCE * size:.3g}')
-    if len(segments) < 3:
+    if len(inputs) < 3:
         return usual
     from scipy.cluster.hierarchy import linkage
 
@@ -345,16 +344,14 @@ def _guess_same(segments: Sequence[Segment]) -> float:
     return float(f'{np.sqrt(steps[best] * steps[best + 1]):.3g}')
 
 
-def _guess_rest(segments: Sequence[Segment], same: float) -> float:
-    """Return the input below which the arm rests between two trials; 0: it does not."""
-    if len(segments) < 2:
+def _guess_rest(inputs: Floats, same: float) -> float:
+    """Return the input below which an arm under inputs (N, m) rests between; 0: it does not."""
+    if len(inputs) < 2:
         return 0.0
-    from scipy.cluster.hierarchy import fcluster, linkage  # takes half a second to import
+    from scipy.cluster.hierarchy import fclusterdata  # takes half a second to import
 
-    inputs = np.nan_to_num([one.inputs for one in segments])
     sizes = inputs.max(axis=1)
-    tree = linkage(inputs, 'single', metric='chebyshev')
-    postures = fcluster(tree, same, 'distance')  # (N,) number of the posture of each segment
+    postures = fclusterdata(inputs, same, 'distance', 'chebyshev')  # (N,) number of the posture
     at_rest = postures == postures[int(sizes.argmin())]
     if at_rest.mean() < REST_FRACTION or at_rest.sum() < 3 or at_rest.all():
         return 0.0
@@ -383,12 +380,9 @@ def _dropped_lines(pieces: Sequence[Piece], labels: Sequence[str]) -> list[str]:
     if jumps.any():
         places = ', '.join(f'{labels[j]} {jumps[j]}' for j in np.flatnonzero(jumps).tolist())
         lines.append(f'{len(cut)} frames in which a marker jumps ({places})')
-    positions = [piece.recording.tracks[0].positions[..., 0] for piece in pieces]
-    lost = np.sum([np.isnan(one).sum(axis=0) for one in positions], axis=0)
-    total = sum(len(one) for one in positions)
+    seen = np.concatenate([piece.recording.tracks[0].positions[..., 0] for piece in pieces])
+    lost = 100.0 * np.isnan(seen).mean(axis=0)  # (J,) [%] of the readings
     if lost.any():
-        worst = int(lost.argmax())
-        share = f'{100.0 * lost.sum() / (total * len(lost)):.2g} %'
-        most = f'{labels[worst]}: {100.0 * lost[worst] / total:.2g} %'
-        lines.append(f'{share} of the marker readings are missing (most of {most})')
+        most = f'{labels[lost.argmax()]}: {lost.max():.2g} %'
+        lines.append(f'{lost.mean():.2g} % of the marker readings are missing (most of {most})')
     return lines
