@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,7 +17,6 @@ from ..inference.noise import Whitener, estimate_noise, input_slopes
 from ..inference.outliers import find_outliers
 from ..inference.predict import Predictor
 from ..inference.statistics import ERRORS
-from ..model.pulls import pull_shapes
 from ..model.shape import ShapeBatch
 from ..robot import Robot, RobotLike, load_robot
 from .result import Comparison, Measured, ModelErrors
@@ -38,14 +37,10 @@ def equilibria(predictor: Predictor) -> ShapeBatch:
     model, dataset, parts, postures = predictor.model, predictor.dataset, [], []
     for part, shapes in predictor.settle({}, predictor.inputs):
         if shapes is None:
-            inputs = predictor.inputs[part.rows]
-            if dataset.input == 'displacement':  # the error names the posture
-                memory = model.arrays.fresh_memory() if predictor.carries else None
-                pull_shapes(model, inputs, memory=memory)
-            elif predictor.carries:
-                model.sequence(inputs)
-            else:
-                model.shapes(inputs)
+            search: Callable[[Floats], object] = predictor.pulled
+            if dataset.input == 'tension':
+                search = model.sequence if predictor.carries else model.shapes
+            search(predictor.inputs[part.rows])  # its error names the posture
             where = f'a posture of {dataset.name}'
             raise NoEquilibriumError(where, model.implicit_effects, np.inf)
         postures.append(part.rows)
@@ -183,22 +178,17 @@ def _measured(dataset: DataSet, predictor: Predictor, angles: Floats | None) -> 
     floor = None  # (P, J) [m²] expected squared distance of a perfect model
     if noise is not None:
         floor = Whitener(dataset, noise, slopes).variance.sum(axis=2)
+    same = ('input', 'input_names', 'postures', 'trials', 'arc_lengths', 'mean', 'path')
     return Measured(
+        **{key: getattr(dataset, key) for key in same},
         data=dataset.name,
-        input=dataset.input,
-        input_names=dataset.input_names,
         inputs=predictor.inputs,
-        postures=dataset.postures,
-        trials=dataset.trials,
         markers=tuple(marker.name for marker in dataset.markers),
-        arc_lengths=dataset.arc_lengths,
         per_cell=dataset.markers == default_markers(dataset.robot),
-        mean=dataset.mean,
         tips=dataset.positions[:, :, -1],
         angles=angles,
         position_noise=None if noise is None else noise.position,
         floor=floor,
-        path=dataset.path,
     )
 
 

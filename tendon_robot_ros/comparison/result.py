@@ -267,6 +267,7 @@ class Comparison(TextResult):
 
 
 FORMAT = 'tendon_robot_ros/comparison@1'
+SAME = ('data', 'input', 'path', 'per_cell', 'position_noise')  # called alike in the file
 
 
 def to_json(comparison: Comparison) -> dict[str, Any]:
@@ -276,18 +277,14 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
     inputs = [dict(zip(measured.input_names, row, strict=True)) for row in plain(measured.inputs)]
     return {
         'format': FORMAT,
-        'data': measured.data,
+        **plain({key: getattr(measured, key) for key in SAME}),
         'noise_floor': plain(measured.noise_floor),
         'noise_floor_per_marker': plain(measured.floor_per_marker),
-        'position_noise': plain(measured.position_noise),
         'error': comparison.error,
         'models': [_model_to_json(comparison, model) for model in comparison.models],
         'paired_t': plain(comparison.paired_t),
         'markers': [{'name': name, 'arc_length': s} for name, s in markers],
-        'per_cell': measured.per_cell,
-        'input': measured.input,
         'left_out': [dict(row) for row in measured.left_out],
-        'path': measured.path,
         'measured': _rows(
             posture=measured.postures,
             input=inputs,
@@ -304,14 +301,10 @@ def _model_to_json(comparison: Comparison, model: ModelErrors) -> dict[str, Any]
     measured, error = comparison.measured, comparison.error
     first = comparison.grows_from(model)
     postures = range(len(measured.postures))
+    told = ('name', 'effects', 'model_error', 'rms', 'max', 'per_marker_rms')
     return {
-        'name': model.name,
-        'effects': list(model.effects),
-        'model_error': model.model_error,
-        'rms': model.rms,
-        'max': model.max,
+        **plain({key: getattr(model, key) for key in told}),
         'tip_error': _estimate(model.tip_error(error)),
-        'per_marker_rms': plain(model.per_marker_rms),
         'grows_from': None if first is None else measured.markers[first],
         'worst_posture': measured.postures[comparison.worst_posture(model)],
         'per_posture': _rows(
@@ -356,22 +349,18 @@ def from_json(content: dict[str, Any]) -> Comparison:
     rows = content['measured']
     held = _columns(rows, 'trials', 'shape', 'tips', 'angles', 'floor')
     measured = Measured(
-        data=content['data'],
-        input=content['input'],
+        **{key: content[key] for key in SAME if key in content},  # older files have no path
         input_names=tuple(rows[0]['input']),
         inputs=np.array([list(row['input'].values()) for row in rows], dtype=float),
         postures=tuple(row['posture'] for row in rows),
         trials=held['trials'].astype(int),
         markers=tuple(marker['name'] for marker in content['markers']),
         arc_lengths=_columns(content['markers'], 'arc_length')['arc_length'],
-        per_cell=content['per_cell'],
         mean=held['shape'],
         tips=held['tips'],
         angles=None if held['angles'] is None else held['angles'].swapaxes(0, 1),
-        position_noise=content['position_noise'],
         floor=None if held['floor'] is None else held['floor'] ** 2,
         left_out=tuple(content.get('left_out', ())),  # files of older versions have none
-        path=content.get('path', 'from_straight'),
     )
     models = []
     for model in content['models']:

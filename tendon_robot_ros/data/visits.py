@@ -10,6 +10,7 @@ import numpy as np
 from ..common.arrays import RESOLUTION, Bools, Floats, Ints, simplified
 from ..robot.estimates import INPUT_TOLERANCE
 
+OF_A_VISIT = ('fresh', 'counts', 'trials')  # arrays (V,) of `Visits`
 STRAIGHT = -1  # [1] index of the straight arm as the command before, so that it is no command
 
 
@@ -40,14 +41,9 @@ class Visits:
         """Return the visits to some postures; no other may lie between them."""
         place = np.full(len(self.commands), -1)
         place[postures] = np.arange(len(postures))
-        own = place[self.rows] >= 0
-        return Visits(
-            tuple(self.commands[i] for i in postures.tolist()),
-            place[self.rows[own]],
-            self.fresh[own],
-            self.counts[own],
-            self.trials[own],
-        )
+        own, commands = place[self.rows] >= 0, tuple(self.commands[i] for i in postures.tolist())
+        each = {key: getattr(self, key)[own] for key in OF_A_VISIT}
+        return Visits(commands, place[self.rows[own]], **each)
 
     def masked(self, mask: Bools) -> Visits:
         """Return the same visits, of which only those of trials in a mask (P, Q) are measured."""
@@ -117,13 +113,10 @@ def remembered(path: Floats, kept: Ints) -> Ints:
 def join_visits(parts: Sequence[Visits]) -> Visits:
     """Return the visits of several data sets whose postures follow each other."""
     begins = np.cumsum([0, *(len(part.commands) for part in parts)])
-    return Visits(
-        tuple(name for part in parts for name in part.commands),
-        np.concatenate([part.rows + b for part, b in zip(parts, begins[:-1], strict=True)]),
-        np.concatenate([part.fresh for part in parts]),
-        np.concatenate([part.counts for part in parts]),
-        np.concatenate([part.trials for part in parts]),
-    )
+    rows = [part.rows + begin for part, begin in zip(parts, begins[:-1], strict=True)]
+    each = {key: np.concatenate([getattr(part, key) for part in parts]) for key in OF_A_VISIT}
+    commands = tuple(name for part in parts for name in part.commands)
+    return Visits(commands, np.concatenate(rows), **each)
 
 
 @dataclass(frozen=True, eq=False)

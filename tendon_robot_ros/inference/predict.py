@@ -488,7 +488,7 @@ class Predictor:
         """Shapes (b) of the model as it is set, under inputs (b, m); None without equilibrium."""
         if self.dataset.input == 'displacement':
             try:
-                return self._pulled(inputs, near)
+                return self.pulled(inputs, near)
             except TendonRobotError:
                 return None
         if self.model.remembers:
@@ -506,7 +506,8 @@ class Predictor:
                 getattr(batch, name)[b] = getattr(retried, name)[0]
         return batch
 
-    def _pulled(self, inputs: Floats, near: SettledShapes | None) -> ShapeBatch:
+    def pulled(self, inputs: Floats, near: SettledShapes | None = None) -> ShapeBatch:
+        """Return shapes (b) of the model as it is set, under wire pulls (b, m) [m], or raise."""
         memory = self.model.arrays.fresh_memory() if self.carries else None
         tensions, bends = (None, None) if near is None else (near.tensions, near.state)
         slopes = None if near is None else near.slopes
@@ -519,7 +520,7 @@ class Predictor:
             if row in part.rows:
                 self.set_parameters({}, part)
                 try:
-                    self._pulled(self.inputs[row : row + 1], None)
+                    self.pulled(self.inputs[row : row + 1])
                 except TendonRobotError as refusal:
                     return str(refusal)
         return None

@@ -192,15 +192,12 @@ def fitted(case: Case, sim: Simulated) -> dict[str, Any]:
     """Fit the hidden effect alone, to see whether its intervals hold the true values."""
     start = time.process_time()
     added = add_effects(sim.fit, [case.hidden], None, sim.catalogue, sim.fit)
-    errors = added.fitted
     return {
         'verdict': 'fitted',
         'effects': (case.hidden,),
         'right': True,
         'alarm': True,
-        'before': errors.before,
-        'after': errors.after,
-        'floor': errors.floor,
+        **{key: getattr(added.fitted, key) for key in ('before', 'after', 'floor')},
         'seconds': time.process_time() - start,
         **_beside_truth(sim, added.values[case.hidden]),
     }

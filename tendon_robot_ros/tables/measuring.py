@@ -383,6 +383,6 @@ def _dropped_lines(pieces: Sequence[Piece], labels: Sequence[str]) -> list[str]:
     seen = np.concatenate([piece.recording.tracks[0].positions[..., 0] for piece in pieces])
     lost = 100.0 * np.isnan(seen).mean(axis=0)  # (J,) [%] of the readings
     if lost.any():
-        most = f'{labels[lost.argmax()]}: {lost.max():.2g} %'
+        most = f'{labels[int(lost.argmax())]}: {lost.max():.2g} %'
         lines.append(f'{lost.mean():.2g} % of the marker readings are missing (most of {most})')
     return lines
