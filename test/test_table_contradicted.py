@@ -39,6 +39,8 @@ def noisy():
     [
         (lambda f: f.assign(time_s=f['time_s'].where(f.index != 40, 0.0)),
          r'row 41: time goes back from 1\.95 to 0 s; one file per recording: split it there'),
+        (lambda f: f.assign(time_s=f['time_s'].where(f.index != 40, np.inf)),
+         'row 41: time_s is inf; every row needs its time'),
         (lambda f: f.assign(time_s=f['time_s'].where(f.index != 40)),
          'row 41: time_s is empty; every row needs its time'),
         (lambda f: f.drop(columns='T2 [N]'), 'no columns for the inputs one, two, three'),

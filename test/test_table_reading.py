@@ -64,6 +64,8 @@ def test_a_plain_table_is_read(tmp_path):
     [
         '# a note\n# another\n' + PLAIN,
         'System,2\nunits,mm\nrate,50\n\n' + PLAIN,
+        'rate,2024-01-01\n\n' + PLAIN,
+        '-,nan,NA\n' + PLAIN,
         PLAIN.replace(',', ';').replace('0.5', '0,5').replace('1.5', '1,5'),
         PLAIN.replace(',', '\t'),
         PLAIN.replace('\n', '\r\n'),
@@ -204,9 +206,19 @@ def test_a_marker_may_be_called_as_an_axis_is(tmp_path):
     assert (x, z) == ('disk Z X', 'disk Z Z')
 
 
-def test_an_export_of_vicon_without_points_is_refused(tmp_path):
-    with pytest.raises(DataSetError, match=r'is an export of Vicon .* its header rows'):
-        read(tmp_path, 'Devices\n1000\n')
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('Devices\n1000\n', 'is an export of Vicon .* its header rows'),
+        (VICON.replace('\n2,0,', '\nx,0,'), "row 7: frame is 'x'; expected a number"),
+        (VICON.replace('\n2,0,', '\n2,x,'), "row 7: Sub Frame is 'x'; expected a number"),
+    ],
+)
+def test_an_export_of_vicon_without_points_or_numbers_of_frames_is_refused(
+    tmp_path, text, message
+):
+    with pytest.raises(DataSetError, match=message):
+        read(tmp_path, text)
 
 
 def test_frames_of_an_unknown_rate_are_no_seconds(tmp_path):
@@ -318,6 +330,7 @@ def table_of(*columns):
         (('motor1_deg', 'motor2_deg'), ('motor1_deg', 'motor2_deg')),
         (('tension_right', 'tension_left'), ('tension_left', 'tension_right')),
         (('load a [g]', 'load b [g]'), ('load a [g]', 'load b [g]')),
+        (('T1 [N]', 'T2 [N]', 'load ² [N]'), ('T1 [N]', 'T2 [N]')),
     ],
 )
 def test_inputs_are_told_from_names(columns, taken):

@@ -115,6 +115,14 @@ def test_an_export_gives_the_places_and_times_that_were_written(tmp_path, name):
                for maker in ('OptiTrack', 'Vicon', 'Qualisys', 'Motion', 'NDI'))  # fmt: skip
 
 
+def test_numbers_in_a_head_that_are_none_are_not_read(tmp_path):
+    text = write.qualisys(PLACES)
+    (table,) = read(tmp_path, text.replace('NO_OF_FRAMES\t8', 'NO_OF_FRAMES\t²'))
+    assert len(table) == len(PLACES)
+    (table,) = read(tmp_path, text.replace('NO_OF_FRAMES', 'x\tx\tTrajectories'))
+    assert len(table) == len(PLACES)
+
+
 def test_a_head_of_100_kb_is_read(tmp_path):
     text = write.motive([*MARKERS, *write.ghosts(700, 8)])
     assert len(text.split('\n0,')[0]) > 100_000

@@ -342,7 +342,7 @@ def _by_number(names: Sequence[ColumnName], inputs: Sequence[str]) -> list[Colum
     """Return columns whose names differ only in a number, in the order of these numbers."""
     stems: dict[tuple[str, ...], dict[int, ColumnName]] = {}
     for name in names:
-        numbers = [word for word in name.words if word.isdigit()]
+        numbers = [word for word in name.words if word.isdecimal()]
         if len(numbers) == 1:
             stem = tuple(word for word in name.words if word != numbers[0])
             stems.setdefault(stem, {})[int(numbers[0])] = name

@@ -73,9 +73,14 @@ MAKERS = (
 )
 
 
+def is_decimal(cell: str) -> bool:
+    """Return whether a cell holds a number, with a decimal point or comma."""
+    return is_number(cell.replace(',', '.'))
+
+
 def is_value(cell: str) -> bool:
-    """Return whether a cell holds a number, with a decimal point or comma, or a time."""
-    return is_number(cell) or is_number(cell.replace(',', '.')) or bool(STAMP.fullmatch(cell))
+    """Return whether a cell holds a number or a time."""
+    return is_decimal(cell) or bool(STAMP.fullmatch(cell))
 
 
 def _filled(row: Row) -> list[int]:
@@ -97,7 +102,7 @@ def first_row_of_data(rows: Sequence[Row]) -> int | None:
 
     def is_head(row: Row) -> bool:
         filled = _filled(row)
-        if filled[0] not in count and not is_value(row[filled[0]]):
+        if filled and filled[0] not in count and not is_value(row[filled[0]]):
             return True
         texts = [i for i in filled if i in numeric and not is_value(row[i])]
         among = sum(i in numeric for i in filled)
@@ -157,7 +162,7 @@ class Head:
         values_by_word = _values_by_word(rows)
         self.title = ''
         if maker.name == 'Vicon':
-            self.title = next(row[0] for row in rows if row[0].lower() in VICON)
+            self.title = next((row[0] for row in rows if row[0].lower() in VICON), '')
         if maker.name == 'Qualisys':
             keys = {row[0]: row[1:] for row in labels if re.fullmatch(r'[A-Z][A-Z_]+', row[0])}
             labels = [row for row in labels if row[0] not in keys]
@@ -178,12 +183,12 @@ class Head:
         if length and (unit := find_unit(length)) and unit.kind == 'length' and not units_row:
             places = [n for n in self.names if self.kinds.get(n, DERIVED) != DERIVED]
             self.units |= dict.fromkeys(places, unit.text)
-        rate = _first(values_by_word, RATES, is_value)
+        rate = _first(values_by_word, RATES, is_decimal)
         if maker.name == 'Vicon':
-            alone = (row[0] for row in rows if len(_filled(row)) == 1 and is_value(row[0]))
+            alone = (row[0] for row in rows if len(_filled(row)) == 1 and is_decimal(row[0]))
             rate = next(alone, '')
         self.rate = float(rate.replace(',', '.')) or None if rate else None
-        frames = _first(values_by_word, ('no_of_frames',), str.isdigit)
+        frames = _first(values_by_word, ('no_of_frames',), str.isdecimal)
         self.frames = int(frames) if frames else None
 
 

@@ -253,9 +253,9 @@ def _frames(table: RawTable, head: Head) -> tuple[Floats, str]:
     """Return the frame number (R,) of each row, and a note of the rate."""
     note, every = f'{head.rate:g} frames a second', 1
     if 'frame' in table.columns:
-        sub = table.columns.get('Sub Frame', np.zeros(len(table)))
+        sub = table.numbers('Sub Frame') if table.holds('Sub Frame') else np.zeros(len(table))
         per = float(np.nanmax(sub)) + 1.0  # samples of a device in each frame
-        return table.columns['frame'] * per + sub, note
+        return table.numbers('frame') * per + sub, note
     if head.frames is not None and head.frames > len(table):
         every = -(-head.frames // len(table))
         if -(-head.frames // every) != len(table):

@@ -391,10 +391,11 @@ def _times(table: RawTable, recipe: Recipe) -> Floats:
         unit = find_unit((recipe.time or {})[column])
         times = table.numbers(column, 'a time') * (1.0 if unit is None else unit.factor)
     back = np.diff(times, prepend=-np.inf) < 0.0
-    for row in np.flatnonzero(np.isnan(times) | back)[:1].tolist():
+    for row in np.flatnonzero(~np.isfinite(times) | back)[:1].tolist():
         if back[row]:
             problem = f'time goes back from {times[row - 1]:g} to {times[row]:g} s'
             raise DataSetError(table.where(row), problem, 'one file per recording: split it there')
-        cell = short(written[row]) if table.is_text(column) and written[row] else 'empty'
+        cell = 'empty' if np.isnan(times[row]) else f'{times[row]:g}'
+        cell = short(written[row]) if table.is_text(column) and written[row] else cell
         raise DataSetError(table.where(row), f'{column} is {cell}', 'every row needs its time')
     return np.asarray(times - times[0])
