@@ -91,7 +91,10 @@ def remainder_text(
 def _accounted(session: Session, residual: float, arm: Mapping[str, Any] | None) -> str:
     """Return the sentence on what accounts for a residual [m] that is more than noise, if any."""
     reference, known = session.dataset.reference, session.robot.model_error
-    if reference is not None:
+    told = {kind['kind']: kind['size'] for kind in (arm or {}).get('kinds', ()) if kind['told']}
+    kinds = (kind.name for kind in session.imperfections.kinds)
+    measured = session.floor_with(np.array([told.get(k, float(k == EARLIER)) for k in kinds]))
+    if reference is not None and measured <= residual / SAME_ERROR_RATIO:
         return (
             f'How the arm deviates from its description may itself have changed by that much: it '
             f'deviated by {mm(reference.error, 2)} at the tip in {reference.name}.'
@@ -102,12 +105,10 @@ def _accounted(session: Session, residual: float, arm: Mapping[str, Any] | None)
         return ''
     if residual < REPEATABILITIES_MAX * session.whitener.floor():
         return 'How an arm is built accounts for that: see its scatter.'
-    told = [kind['size'] if kind['told'] else 0.0 for kind in arm['kinds']]
-    measured = session.floor_with(np.append(told, 0.0))  # without a remainder
     if measured > residual / SAME_ERROR_RATIO:
-        return 'The scatter of its parts that these measurements show accounts for that.'
+        return 'The scatter that these measurements show accounts for that.'
     return (
-        f'The scatter of its parts that these measurements show accounts for {mm(measured, 2)}; '
+        f'The scatter that these measurements show accounts for {mm(measured, 2)}; '
         'for the rest they show no cause: other effects may be at work, too.'
     )
 

@@ -167,11 +167,11 @@ class BuiltPredictor(Predictor):
         labels[GAIN] = list(self.robot.inputs)  # under tensions, holes act as gains too
         if self.dataset.input == 'displacement':
             labels |= {HOLE: [t.name for t in self.robot.tendons], ZERO: list(self.robot.inputs)}
-        anew = {name: list('xyz') for name in (POSITION, ROTATION)}
-        if ZERO in labels:
-            anew[ZERO] = labels[ZERO]
         recordings = [part.name for part, _ in self.dataset.divided]
-        for name, own in anew.items() if len(recordings) > 1 else ():
+        anew = {name: list('xyz') for name in (POSITION, ROTATION) if len(recordings) > 1}
+        if ZERO in labels and (anew or self.dataset.reference is not None):
+            anew[ZERO] = labels[ZERO]  # a tracker that was moved since a reference is named
+        for name, own in anew.items():
             labels[ANEW[name]] = [f'{one} in {where}' for where in recordings for one in own]
         known = self.robot.tolerances
         labels |= {name: list('xyz') for name in (POSITION, ROTATION) if name not in known}
@@ -244,11 +244,11 @@ class BuiltPredictor(Predictor):
 
     def _in_recordings(self, kind: str, count: int) -> Floats:
         """Return the sizes (recordings, count) of a kind that may differ between recordings."""
-        off, sizes = self.members, np.zeros((len(self.parts), count))
-        sizes += off.get(kind, 0.0)
-        if len(self.parts) > 1 and ANEW[kind] in off:  # a single one is another recording
-            sizes += off[ANEW[kind]].reshape(sizes.shape)
-        return sizes
+        off, none = self.members, np.zeros((len(self.parts), count))
+        anew = off.get(ANEW[kind], none)  # those of other recordings do not count
+        return (
+            none + off.get(kind, 0.0) + (anew.reshape(none.shape) if anew.size == none.size else 0)
+        )
 
 
 def imperfections(
