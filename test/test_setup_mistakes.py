@@ -372,6 +372,8 @@ def test_a_stiffness_that_no_rod_is_off_by_is_said(limp):
         'backbone_stiffness', {'relative_change': replace(value, value=0.3)}, 1.0
     )
     assert implausible(SimpleNamespace(effects=[usual], details={})) == []
+    found.details = {'described': {'backbone_stiffness': {'relative_change': 1.2}}}
+    assert implausible(found) == []  # of what is described
 
 
 @pytest.mark.parametrize('hidden', [{}, {'tip_load': {'force_x': 2e-3}}])

@@ -205,7 +205,7 @@ def is_odd(effect: str, key: str, value: float, described: float) -> bool:
     if effect == 'transmission_loss':
         factor = 1.0 - value
     elif key.startswith('relative_change'):
-        factor = 1.0 + value
+        factor = (1.0 + value) / (1.0 + described)
     elif (effect, key) == WEIGHT and described > 0.0:
         factor = value / described
     else:
@@ -451,7 +451,7 @@ def implausible(diagnosis: Diagnosis) -> list[str]:
             before = float(np.mean(described))
             if not is_odd(effect.name, key, value.value, before):
                 continue
-            if before > 0.0:
+            if (effect.name, key) == WEIGHT:
                 texts.append(
                     f'{effect.name} of {value.value / before:.2g} times what is described is no '
                     'tolerance: check gravity [m/s²], and weigh the arm'
