@@ -136,6 +136,7 @@ MISTAKES = {
         ([], 'target: expected --position, --direction, or both, got neither'),
         (['--position', '1,2'], "--position: expected three lengths x,y,z, got '1,2'"),
         (['--position', '0.06,0,0.15'], '0.06,0,0.15 mm is 0.1616 mm from the base of an '),
+        (['--position', '0.06m,0,15m'], ': 0.06m,0,15m is 15000 mm from the base of an arm of '),
         (['--position', '60,0,150', '--unit', 'm'], '60,0,150 m is 161600 mm from the'),
         (['--position', 'nan,0,0'], "expected a number with a unit such as mm, got 'nan'"),
         (['--direction', '0,0,0'], 'direction: expected a vector of some length, got '),

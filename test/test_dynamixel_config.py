@@ -149,8 +149,7 @@ def test_no_command_makes_a_goal_outside_the_bounds(command, mode):
     for motor in make_motors(parsed(mode=mode), mode).values():
         motor.ticks, motor.zero = 100, 100.0
         low, high = motor.current_bounds if mode == 'tension' else motor.position_bounds
-        goal = min(max(motor.goal([command]), low), high)
-        assert low <= goal <= high
+        goal = min(max(motor.goal([command]), low), high)  # as it is sent
         if mode == 'tension':
             amperes = abs(goal) * motor.model.current_unit
             assert motor.wires[0].calibration.mean.tension(amperes) <= 5.0 + 1e-9

@@ -21,7 +21,15 @@ from ..common.files import file_to_write, write_text
 from ..common.processes import UPKEEP_S
 from ..common.results import JSON_OPTION
 from ..common.results import emit as emit
-from ..common.words import TYPED_LENGTHS, UNITS, digits, numbers, other_unit, read_quantity
+from ..common.words import (
+    TYPED_LENGTHS,
+    UNITS,
+    digits,
+    has_unit,
+    numbers,
+    other_unit,
+    read_quantity,
+)
 from ..data import DataSet, join, load_dataset
 from ..data.bag_reader import is_bag
 from ..data.folder import described_robot
@@ -205,8 +213,9 @@ def position(option: str, text: str | None, unit: str, reach: float) -> list[flo
     nearest = farthest * UNITS['length']['mm']  # what is nearer is in metres
     if distance > farthest or 0.0 < distance < nearest:
         mend = other_unit(text, distance, unit, nearest, farthest)
+        typed = text if has_unit(text) else f'{text} {unit}'
         raise InputError(
-            f'{option}: {text} {unit} is {digits(1e3 * distance, 4)} mm from the base of an arm '
+            f'{option}: {typed} is {digits(1e3 * distance, 4)} mm from the base of an arm '
             f'of {1e3 * reach:.4g} mm{mend}'
         )
     return values

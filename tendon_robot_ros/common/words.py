@@ -283,13 +283,17 @@ def other_unit(text: str, length: float, unit: str, low: float, high: float) -> 
     It fits if the typed numbers have no unit of their own, and the length [m] that was read
     in `unit` would in the other one lie between `low` and `high` [m].
     """
-    if any(match['unit'] for match in map(QUANTITY.match, text.split(',')) if match):
-        return ''
     for other in TYPED_LENGTHS:
         scale = read_unit('', other, 'length').factor / read_unit('', unit, 'length').factor
-        if other != unit and low <= scale * length <= high:
+        if other != unit and low <= scale * length <= high and not has_unit(text):
             return f'; if {other} is meant, say --unit {other}'
     return ''
+
+
+def has_unit(text: str) -> bool:
+    """Return whether numbers 'x,y,z' or 'x y z' that were typed have a unit of their own."""
+    matches = map(QUANTITY.match, text.replace(',', ' ').split())
+    return any(match['unit'] for match in matches if match)
 
 
 def split_name(column: str) -> tuple[str, Unit | None]:
