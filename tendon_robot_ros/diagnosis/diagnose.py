@@ -26,7 +26,15 @@ from .report_rows import details_of, finding, fitted_errors, nearest, remainder_
 from .result import Diagnosis
 from .select import gather
 from .setup_hypotheses import Mistake
-from .setup_mistakes import Explained, Mended, find_mistake, implausible, is_odd_fit, mended_rivals
+from .setup_mistakes import (
+    Explained,
+    Mended,
+    find_mistake,
+    implausible,
+    in_shares,
+    is_odd_fit,
+    mended_rivals,
+)
 from .verdict import (
     APART_FROM_SCORE,
     MISTAKE_HANDICAP,
@@ -112,7 +120,8 @@ def diagnose(
         if not diagnosis.verdict.may_add:
             return _mistaken(session, mistake)
         diagnosis = _weighed_against(session, mistake, diagnosis)
-    caveats = [*diagnosis.details.get('caveats', ()), *implausible(diagnosis)]
+    caveats = list(diagnosis.details.get('caveats', ()))
+    caveats += implausible(diagnosis) + in_shares(diagnosis)
     quiet = described is not None and described.quiet
     limit = np.inf if quiet else RESIDUAL_PARTLY_MAX * diagnosis.error_after
     first = rivals[0] if rivals and rivals[0].explained.residual < limit else None
