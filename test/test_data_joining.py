@@ -12,7 +12,7 @@ from simulated import measure, postures
 from tendon_robot_ros.common.errors import DataSetError, EffectError
 from tendon_robot_ros.comparison.compare import compare, equilibria
 from tendon_robot_ros.data import join, load_dataset, save_dataset
-from tendon_robot_ros.data.dataset import EarlierRecording
+from tendon_robot_ros.data.dataset import EarlierRecording, names_in
 from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.inference.imperfections import (
@@ -45,7 +45,11 @@ def loaded(robot=ROBOT, **fields):
 def test_postures_keep_their_data_set_and_the_trials_they_had():
     both = join(loaded())
     assert both.postures[0] == 'free/0' and both.postures[5] == 'weight/0'
-    assert both.name == 'lab/free lab/weight'
+    assert both.name == 'lab/free lab/weight' and names_in(both.name) == ['lab/free', 'lab/weight']
+    apart = join(
+        [replace(one, name=name) for one, name in zip(loaded(), ("it's", 'my arm'), strict=True)]
+    )
+    assert names_in(apart.name) == ["it's", 'my arm'] and names_in("it's") == ["it's"]
     assert both.positions.shape[:2] == (8, 4)
     assert both.trials.tolist() == [3] * 5 + [4] * 3
     assert [part.name for part, _ in both.divided] == ['free', 'weight']
@@ -87,6 +91,8 @@ def test_what_is_known_acts_on_its_own_postures_only():
     assert np.allclose(shown, np.concatenate(expected), rtol=0, atol=1e-12)
     assert np.allclose(equilibria(predictor).positions[5:], pulled.positions, rtol=0, atol=1e-12)
     assert compare(both).measured.floor is not None
+    unknown = replace(both, parts=tuple(replace(part, known={}) for part in both.parts))
+    assert 'diagnose lab/free lab/weight`' in compare(unknown).text()
 
 
 def test_gravity_is_that_of_each_data_set():

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -48,6 +50,14 @@ BLOCKS_MAX = 32
 LOADINGS = ('from_straight', 'sequence')  # every trial of a posture has the same history
 PATHS = (*LOADINGS, 'visits')
 READINGS = ('positions', 'orientations')  # arrays (P, Q, J, n)
+
+
+def names_in(name: str) -> list[str]:
+    """Return the names of the data sets that one of this name was joined from, else the name."""
+    try:
+        return [name] if Path(name).exists() else shlex.split(name)
+    except ValueError:  # a quotation mark in it
+        return [name]
 
 
 def at_rest(inputs: Floats) -> Bools:

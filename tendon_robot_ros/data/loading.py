@@ -7,6 +7,7 @@ Of a recording every still segment is a measurement.
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -384,7 +385,7 @@ def join(datasets: Sequence[DataSetLike]) -> DataSet:
     pairs = zip(names, sets, strict=True)
     return replace(
         first,
-        name=' '.join(dataset.name for dataset in sets),
+        name=shlex.join(dataset.name for dataset in sets),
         postures=tuple(f'{name}/{posture}' for name, d in pairs for posture in d.postures),
         inputs=np.concatenate([d.inputs for d in sets]),
         positions=stacked([d.positions for d in sets], len(trials)),

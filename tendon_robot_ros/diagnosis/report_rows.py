@@ -20,7 +20,7 @@ from ..inference.crossval import (
     written,
 )
 from ..inference.fit import Fit
-from ..inference.imperfections import EARLIER
+from ..inference.imperfections import ANEW, EARLIER
 from ..inference.intervals import SizeIntervals, loads_of, values_of, values_with_intervals
 from ..inference.marginal import Prior
 from ..inference.outliers import Outliers
@@ -106,7 +106,9 @@ def _accounted(session: Session, residual: float, arm: Mapping[str, Any] | None)
     if residual < REPEATABILITIES_MAX * session.whitener.floor():
         return 'How an arm is built accounts for that: see its scatter.'
     if measured > residual / SAME_ERROR_RATIO:
-        return 'The scatter that these measurements show accounts for that.'
+        anew = told.keys() & ANEW.values()
+        what = ', and what was set anew in each recording, account' if anew else ' accounts'
+        return f'The scatter that these measurements show{what} for that.'
     return (
         f'The scatter that these measurements show accounts for {mm(measured, 2)}; '
         'for the rest they show no cause: other effects may be at work, too.'

@@ -13,7 +13,7 @@ from ..common.arrays import Floats, interpolated
 from ..common.colours import BAD, FLOOR, MEASURED, WARN, line_style
 from ..common.words import capital, columns, digits, mm, probability, times, typed
 from ..comparison.result import Comparison, ModelErrors
-from ..data.dataset import extent
+from ..data.dataset import extent, names_in
 from ..diagnosis.verdict import SAME_ERROR_RATIO
 from ..inference.statistics import PairedT
 from ..model.shape import bending_azimuth, views_of
@@ -140,7 +140,7 @@ def next_step(comparison: Comparison) -> str:
     """Say what to type next; empty when nothing is to be explained."""
     if _drowned(comparison) or is_good(comparison):
         return ''
-    return f'Ask why: `{typed("diagnose", comparison.measured.data)}`'
+    return f'Ask why: `{typed("diagnose", *names_in(comparison.measured.data))}`'
 
 
 def paired(test: PairedT) -> str:

@@ -13,6 +13,7 @@ from ..common.words import capital, listed, mm, percent, probability, typed
 from ..comparison.compare import compare
 from ..comparison.result import Comparison
 from ..data import DataSet
+from ..data.dataset import names_in
 from ..diagnosis.add import Addition
 from ..diagnosis.missing_moment import MissingMoment, missing_moment
 from ..diagnosis.result import NOT_NEEDED, CandidateRow, Diagnosis, found_values
@@ -151,9 +152,9 @@ def to_do(diagnosis: Diagnosis) -> str:
     """Say what to type now."""
     if not diagnosis.effects:
         return ''
-    words = ['diagnose', diagnosis.details.get('data', 'DATA')]
+    words = ['diagnose', *names_in(diagnosis.details.get('data', 'DATA'))]
     if taken := diagnosis.details.get('reference'):
-        words += ['--reference', taken['data']]
+        words += ['--reference', *names_in(taken['data'])]
     return diagnosis.verdict.advice.format(command=typed(*words))
 
 

@@ -207,7 +207,9 @@ def instead(diagnosis: Diagnosis) -> str:
         sentences.described_quantity(key, units.get(key, '1'), np.atleast_1d(value).tolist())
         for key, value in before.items()
     )
-    return f'; the description says {was or "nothing"}'
+    taken = diagnosis.details.get('reference')
+    says = f'in {taken["data"]} it was' if taken else 'the description says'
+    return f'; {says} {was or "nothing"}'
 
 
 def what_remains(diagnosis: Diagnosis) -> str:

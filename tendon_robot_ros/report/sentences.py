@@ -216,7 +216,7 @@ def as_built(report: Mapping[str, Any] | None) -> list[str]:
         f'{name} ({amount(kind["members"][name]["value"], kind["unit"], True)})'
         for kind in report['kinds']
         for name in kind['out_of_line']
-        if kind['kind'] not in ('position', 'rotation')
+        if not kind['kind'].startswith(('position', 'rotation'))
     ]
     if strange:
         lines.append(f'out of line with the others: {listed(strange)}')
