@@ -152,7 +152,7 @@ def test_a_second_effect_is_named_if_it_is_more_than_what_may_have_changed(arm, 
     found = diagnose(new, reference=old)
     named = {effect.name: effect.parameters for effect in found.effects}
     assert set(named) == {'tip_load', *moved}
-    told = [text for text in found.details['caveats'] if text.startswith('forces are in propor')]
+    told = [text for text in found.details['caveats'] if text.startswith('values in newtons dep')]
     assert len(told) == (kind == 'displacement')
     if kind == 'tension':  # under wire lengths, a load is in shares of an unknown stiffness
         force = named['tip_load']['force_x']

@@ -25,7 +25,7 @@ from ..common.words import (
     TYPED_LENGTHS,
     UNITS,
     digits,
-    has_unit,
+    in_unit,
     numbers,
     other_unit,
     read_quantity,
@@ -213,10 +213,9 @@ def position(option: str, text: str | None, unit: str, reach: float) -> list[flo
     nearest = farthest * UNITS['length']['mm']  # what is nearer is in metres
     if distance > farthest or 0.0 < distance < nearest:
         mend = other_unit(text, distance, unit, nearest, farthest)
-        typed = text if has_unit(text) else f'{text} {unit}'
         raise InputError(
-            f'{option}: {typed} is {digits(1e3 * distance, 4)} mm from the base of an arm '
-            f'of {1e3 * reach:.4g} mm{mend}'
+            f'{option}: {in_unit(text, unit)} is {digits(1e3 * distance, 4)} mm from the base '
+            f'of an arm of {1e3 * reach:.4g} mm{mend}'
         )
     return values
 

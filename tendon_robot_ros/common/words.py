@@ -285,15 +285,15 @@ def other_unit(text: str, length: float, unit: str, low: float, high: float) -> 
     """
     for other in TYPED_LENGTHS:
         scale = read_unit('', other, 'length').factor / read_unit('', unit, 'length').factor
-        if other != unit and low <= scale * length <= high and not has_unit(text):
+        if other != unit and low <= scale * length <= high and in_unit(text, unit) != text:
             return f'; if {other} is meant, say --unit {other}'
     return ''
 
 
-def has_unit(text: str) -> bool:
-    """Return whether numbers 'x,y,z' or 'x y z' that were typed have a unit of their own."""
+def in_unit(text: str, unit: str) -> str:
+    """Return typed numbers 'x,y,z' or 'x y z' with a unit, unless they have units of their own."""
     matches = map(QUANTITY.match, text.replace(',', ' ').split())
-    return any(match['unit'] for match in matches if match)
+    return text if any(match['unit'] for match in matches if match) else f'{text} {unit}'
 
 
 def split_name(column: str) -> tuple[str, Unit | None]:

@@ -121,7 +121,7 @@ def diagnose(
             return _mistaken(session, mistake)
         diagnosis = _weighed_against(session, mistake, diagnosis)
     caveats = list(diagnosis.details.get('caveats', ()))
-    caveats += implausible(diagnosis) + in_shares(diagnosis)
+    caveats += implausible(diagnosis) + in_shares(diagnosis, dataset.input)
     quiet = described is not None and described.quiet
     limit = np.inf if quiet else RESIDUAL_PARTLY_MAX * diagnosis.error_after
     first = rivals[0] if rivals and rivals[0].explained.residual < limit else None

@@ -466,16 +466,18 @@ def implausible(diagnosis: Diagnosis) -> list[str]:
     return list(dict.fromkeys(texts))  # of several inputs with the same value once
 
 
-def in_shares(diagnosis: Diagnosis) -> list[str]:
+def in_shares(diagnosis: Diagnosis, input: str) -> list[str]:
     """
     Say what values in newtons depend on where the postures do not tell how stiff the arm is.
 
     By wire lengths alone an arm has the same shapes if its stiffness and all forces grow alike.
     """
-    forces = (value.unit for effect in diagnosis.effects for value in effect.parameters.values())
-    if 'backbone_stiffness' not in diagnosis.not_tested or not any('N' in unit for unit in forces):
+    units = (value.unit for effect in diagnosis.effects for value in effect.parameters.values())
+    told = input == 'tension' or 'backbone_stiffness' not in diagnosis.not_tested
+    if told or not any('N' in unit for unit in units):
         return []
     return [
-        'forces are in proportion to the bending stiffness of the description, which these '
-        'postures do not tell; postures with a known load would'
+        'values in newtons depend on the bending stiffness of the description, which these '
+        'postures do not tell: with twice the stiffness forces are twice as large; postures with '
+        'a known load would tell'
     ]

@@ -24,12 +24,12 @@ from .predict import CELLS, Conditions, Point, Predictor, SettledShapes
 
 KINK, ACROSS, GAIN, HOLE = 'cell_kink', 'cell_kink_across', 'channel_gain', 'hole_radius'
 ZERO, POSITION, ROTATION = 'pull_zero', 'position', 'rotation'
-# Kinds that differ between joined recordings as well -> by how much, in each recording: zeros are
-# found, and trackers are placed, anew
+# Kinds that also differ from recording to recording, since zeros are found and trackers are placed
+# anew -> the kind of these differences
 ANEW = {kind: f'{kind}_anew' for kind in (ZERO, POSITION, ROTATION)}
 EARLIER = 'earlier'  # what an earlier recording leaves open of all kinds, in unit normals
 REMAINDER = 'remainder'  # error without a cause, independent in every posture
-# or of known size
+# Those of few members, or of known size
 KINDS_WITH_FEW_MEMBERS = (GAIN, HOLE, ZERO, POSITION, ROTATION, *ANEW.values(), EARLIER)
 REMAINDER_SHAPES = 4  # [1] along the arm, because the others have a twentieth of the variance
 # Kind -> (unit, plausible sd where none is declared, step of its derivative)
@@ -245,10 +245,10 @@ class BuiltPredictor(Predictor):
     def _in_recordings(self, kind: str, count: int) -> Floats:
         """Return the sizes (recordings, count) of a kind that may differ between recordings."""
         off, none = self.members, np.zeros((len(self.parts), count))
-        anew = off.get(ANEW[kind], none)  # those of other recordings do not count
-        return (
-            none + off.get(kind, 0.0) + (anew.reshape(none.shape) if anew.size == none.size else 0)
-        )
+        anew = off.get(ANEW[kind], none)
+        if anew.size != none.size:  # found in other recordings
+            anew = none
+        return none + off.get(kind, 0.0) + anew.reshape(none.shape)
 
 
 def imperfections(

@@ -16,7 +16,7 @@ from ...common.errors import DataSetError, InputError
 from ...common.files import file_to_write, refuse_ending
 from ...common.results import JSON_OPTION, emit, narrate
 from ...common.rotations import angle_between
-from ...common.words import TYPED_LENGTHS, UNITS, digits, has_unit, other_unit, read_quantity
+from ...common.words import TYPED_LENGTHS, UNITS, digits, in_unit, other_unit, read_quantity
 from ...control.inputs import Trajectory
 from ...control.target_search import keep_out_refusal
 from ...data.bag_reader import is_bag, opened
@@ -106,9 +106,8 @@ def _target(texts: Sequence[str], unit: str) -> np.ndarray:
     if not NEAR_M < distance < DISTANCE_MAX_M:
         text = ' '.join(texts)
         mend = other_unit(text, distance, unit, NEAR_M, DISTANCE_MAX_M)
-        typed = text if has_unit(text) else f'{text} {unit}'
         far = f'{digits(1e3 * distance, 4)} mm from the base'
-        raise InputError(f'target: {typed} is {far}{mend}')
+        raise InputError(f'target: {in_unit(text, unit)} is {far}{mend}')
     return target
 
 
