@@ -11,7 +11,7 @@ from simulated import CATALOGUE, NOISE
 from tendon_robot_ros import diagnose
 from tendon_robot_ros.common.errors import DataSetError
 from tendon_robot_ros.data import save_dataset
-from tendon_robot_ros.inference.discrepancy import since
+from tendon_robot_ros.inference.discrepancy import DeviationProcess, since
 from tendon_robot_ros.inference.imperfections import BuiltPredictor, imperfections
 from tendon_robot_ros.inference.marginal import SIZE_MAX
 from tendon_robot_ros.inference.predict import Predictor, frees_of
@@ -92,6 +92,17 @@ def test_what_an_arm_deviated_is_as_measured_however_many_markers_it_has(arm):
         )
         expected = 3e-4 * np.sqrt(3.0 / old.trials.mean())
         assert since(new, old).reference.error == pytest.approx(expected, rel=0.3)
+
+
+@pytest.mark.parametrize('size', [1e-3, 1.0])
+def test_the_size_of_deviations_is_found_beside_larger_noise_whatever_the_unit(size):
+    random, inputs = np.random.default_rng(3), np.linspace(0.0, 1.0, 100)[:, None]
+    alike = np.exp(-0.5 * (inputs - inputs.T) ** 2 / 0.1**2) + 1e-9 * np.eye(100)
+    off = size / np.sqrt(3.0) * np.linalg.cholesky(alike) @ random.normal(size=(100, 3))
+    noise = 2.0 * size * random.normal(size=(100, 3))
+    tracker = np.full(100, (2.0 * size) ** 2)
+    found = DeviationProcess(inputs, (off + noise)[:, None], np.ones(1), 0.0 * tracker, tracker)
+    assert found.size == pytest.approx(size, rel=0.4)
 
 
 @pytest.mark.parametrize('kind', ['tension', 'displacement'])

@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from ..common.arrays import RESOLUTION, Floats
 from ..common.errors import DataSetError
@@ -30,9 +29,11 @@ from .imperfections import ANEW
 from .noise import NEGLIGIBLE
 from .predict import mean_inputs
 from .session import Question
+from .statistics import minimum
 
 ALIKE = ('markers', 'input', 'input_names')  # what both recordings must have in common
 LENGTHS = 12  # [1] that are tried, so that each is within a quarter of the next
+SIZE_PRECISION = 0.02  # [1] of a size², because a dozen postures tell it to a tenth
 
 
 def earlier_of(new: DataSet, reference: DataSetLike) -> DataSet:
@@ -107,7 +108,7 @@ def since(
     tracker = session.noise.position**2 / settled.counts[seen].mean(axis=1)  # (P,) [m²]
     all_noise = session.whitener.variance[seen].mean(axis=(1, 2))
     driven = 3.0 * (all_noise - tracker) / heights.mean()  # by inputs: it grows along the arm
-    deviations = _DeviationProcess(
+    deviations = DeviationProcess(
         np.nan_to_num(session.predictor.inputs[seen]), off, heights, driven, tracker
     )
     spread = {kind: root for kind, root in fit.spread.items() if kind not in between}
@@ -122,7 +123,7 @@ def since(
     )
 
 
-class _DeviationProcess:
+class DeviationProcess:
     """
     A Gaussian process of the deviations of an arm from its description.
 
@@ -175,14 +176,14 @@ class _DeviationProcess:
             scales = np.outer(values, np.maximum(alike, 0.0)) / 3.0
             power = ((modes.T @ parts) ** 2).sum(axis=2)
 
-            def deviance(size2: float, scales: Floats = scales, power: Floats = power) -> float:
-                variance = size2 * scales + noise[:, None]
+            def deviance(log: float, scales: Floats = scales, power: Floats = power) -> float:
+                variance = mean2 * np.exp(log) * scales + noise[:, None]
                 return float((3.0 * np.log(variance) + power / variance).sum())
 
-            ends = NEGLIGIBLE * mean2, mean2  # no larger than what was measured
-            found = minimize_scalar(deviance, bounds=ends, method='bounded')
-            if found.fun < best:
-                best, self.length, size2 = found.fun, length, float(found.x)
+            # the size relative to what was measured, which is the largest
+            at, least = minimum(deviance, np.log(NEGLIGIBLE), 0.0, SIZE_PRECISION)
+            if least < best:
+                best, self.length, size2 = least, length, mean2 * float(np.exp(at))
         self.size = float(np.sqrt(size2))
         self.ratio = (driven + 3.0 * tracker / heights.mean()) / size2 + NEGLIGIBLE
 
