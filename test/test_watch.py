@@ -266,20 +266,23 @@ def test_the_covariance_of_a_force_counts_that_its_place_is_known_to_an_interval
 
 
 def test_a_force_near_kinks_of_friction_is_found_by_tangents_where_a_step_misleads():
-    """By steps alone each of these four leaves a marker 6 mm off or more."""
+    """By steps alone 9 of these 16 are found."""
     arm, random = untaught(replace(FINE['planar'], exact=True)), np.random.default_rng(1)
     (low, high), off = ([0.2045, 0.1, 0.3145, 0.3554], [0.3, 0.1, 0.3, 0.3]), []
-    for tensions, force in [
+    for tensions, force in 4 * [
         (low, [0.0028, 0.0042, 0.0]),
         (low, [0.0026, 0.0052, -0.0013]),
         (high, [0.00286, 0.00403, -0.00104]),
         (high, [0.0033, 0.00465, -0.0012]),
     ]:
-        plant = make_plant(FINE['planar'], tip_load(np.array(force)), scatter=0.0)
+        # forces near each other, because rounding decides on which side of a kink one lies
+        near = np.array(force) * (1.0 + 0.03 * random.normal(size=3))
+        plant = make_plant(FINE['planar'], tip_load(near), scatter=0.0)
         (seen,) = exactly(plant, np.array([tensions]))
         seen = seen + random.normal(0.0, NOISE, seen.shape)
-        off.append(ContactObserver(arm).update(np.array(tensions), seen).off)
-    assert sum(np.array(off) < 0.01 * arm.robot.length) >= 3, off
+        told = ContactObserver(arm).update(np.array(tensions), seen)
+        off.append(np.inf if told is None else told.off)
+    assert sum(np.array(off) < 0.01 * arm.robot.length) >= 14, off
 
 
 @pytest.mark.parametrize('name', ARMS)
