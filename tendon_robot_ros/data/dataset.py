@@ -405,6 +405,10 @@ class DataSet(TextResult):
         rows = [np.flatnonzero(self.part == i) for i in range(len(self.parts))]
         return tuple((part, own) for part, own in zip(self.parts, rows, strict=True) if len(own))
 
+    def less(self, moved: Floats) -> DataSet:
+        """Return the data set with all markers moved back by (P, J, 3) [m]."""
+        return replace(self, positions=self.positions - moved[:, None])
+
     @cached_property
     def groups(self) -> Ints:
         """

@@ -19,8 +19,9 @@ from ..common.words import mm, probability
 from ..data import DataSet, DataSetLike, load_dataset
 from ..effects import CatalogueLike, load_catalogue
 from ..inference.candidates import Candidate, why_untested
-from ..inference.crossval import Errors, Written, errors_on, model_error_of, written
+from ..inference.crossval import Errors, Written, errors_on, model_error_of, set_alike, written
 from ..inference.fit import Fit
+from ..inference.imperfections import Members
 from ..inference.intervals import LoadVector, Values, loads_of, values_with_intervals
 from ..inference.predict import Point, free_parameters
 from ..inference.session import Question, Session
@@ -45,6 +46,7 @@ class Addition(TextResult):
     accuracy: float | None = None  # [m] declared, that weighed; None: repeatability alone did
     loads: dict[str, LoadVector] = field(default_factory=dict)  # of effects that are forces
     described: Robot | None = None  # before
+    anew: Members = field(default_factory=dict)  # in each of several recordings; off the errors
 
     @property
     def helps(self) -> bool:
@@ -206,7 +208,8 @@ def add_effects(
     session, fit, descriptions = settled.session, settled.fit, settled.descriptions
     chance, scale = settled.probability, settled.scale
     values = values_with_intervals(session.fitter, fit, scale)
-    fitted = errors_on(session.dataset, described, descriptions, session.catalogue, 'fitted')
+    alike = set_alike(session.dataset, described, session.catalogue, fit.anew)
+    fitted = errors_on(alike, described, descriptions, session.catalogue, 'fitted')
     if other is not None:
         on_check = errors_on(other, described, descriptions, session.catalogue, 'check')
     else:
@@ -231,6 +234,7 @@ def add_effects(
         by,
         loads,
         described,
+        fit.anew,
     )
     return replace(added, robot=with_origin(added, described))
 

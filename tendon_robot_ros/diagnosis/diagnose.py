@@ -227,15 +227,15 @@ def _judge(question: Question) -> Diagnosis:
     outside = decision.verdict is Verdict.OUTSIDE_CATALOGUE
     session, chosen = fits.session, nearest(fits, decision) if outside else decision.chosen
     decision = replace(decision, chosen=chosen)
-    errors = fitted_errors(session, None if chosen is None else fits.reported(chosen))
+    errors = fitted_errors(fits, chosen)
     if outside and not errors.after <= errors.before:
         decision = replace(decision, chosen=None, together=())  # it does not lower the error
-        chosen, errors = None, fitted_errors(session, None)
+        chosen, errors = None, fitted_errors(fits, None)
     own = set() if chosen is None else set(chosen.names)
     details = details_of(fits, decision)
     if errors.beside:  # else the arm is written as it was described
         as_found = described_by(session, fits.base, beside=True)
-        details['error_as_found'] = error_of(session, as_found)
+        details['error_as_found'] = error_of(session, as_found, fits.base)
     return Diagnosis(
         verdict=decision.verdict,
         effects=tuple(finding(fits, decision, errors)),

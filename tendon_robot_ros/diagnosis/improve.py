@@ -33,12 +33,20 @@ from ..inference.crossval import (
     left_out_squares,
     missed,
     predict,
+    set_alike,
     written_markers,
 )
 from ..inference.description import OF_THE_ARM, WRITABLE_KINDS, route_changes, stiffness_change
 from ..inference.fit import Fit, covariance_root
 from ..inference.fitter import FAILURES
-from ..inference.imperfections import POSITION, ROTATION, BuiltPredictor, imperfections
+from ..inference.imperfections import (
+    ANEW,
+    POSITION,
+    ROTATION,
+    BuiltPredictor,
+    Members,
+    imperfections,
+)
 from ..inference.intervals import LoadVector, Value, Values, loads_of, values_of
 from ..inference.predict import FreeParameter, Predictor
 from ..inference.session import Question, Session
@@ -97,7 +105,9 @@ class AsFound:
         search, fit, built = self.search, state.fit, self.session.imperfections
         own = np.flatnonzero([free.effect not in OF_THE_ARM for free in fit.frees])
         k, spread = len(own), self.fit.built.sizes[built.owners]
-        effects = replace(fit, jacobian=fit.jacobian[:, own])
+        # what was set anew in each recording is among the imperfections
+        alone = fit.residual - fit.jacobian[:, len(fit.frees) :] @ fit.values[len(fit.frees) :]
+        effects = replace(fit, residual=alone, jacobian=fit.jacobian[:, own])
         moves, standard = built.moves * spread[:, None, None, None], np.ones(len(spread))
         residual, jacobian = grown(effects, moves, state.whitener, standard)
         root = covariance_root(jacobian)[0]
@@ -109,7 +119,7 @@ class AsFound:
         arm.around = {
             kind.name: -(spread * step[k:])[built.owners == i]
             for i, kind in enumerate(built.kinds)
-            if kind.name in WRITABLE_KINDS
+            if kind.name in (*WRITABLE_KINDS, *ANEW.values())
         }
         markers = arm.markers(point)
         return np.full_like(fit.markers, np.nan) if markers is None else markers
@@ -303,9 +313,14 @@ def shown(errors: Floats, taken: int) -> list[int]:
     return [*kept, *range(taken + 1, len(squares))]
 
 
-def errors_of(dataset: DataSet, robot: Robot, catalogue: Catalogue) -> Floats:
-    """Return the rms errors (J,) [m] of a description; nan without an equilibrium."""
-    squares = (missed(dataset, robot, catalogue) ** 2).sum(axis=2)
+def errors_of(dataset: DataSet, robot: Robot, catalogue: Catalogue, anew: Members) -> Floats:
+    """
+    Return the rms errors (J,) [m] of a description; nan without an equilibrium.
+
+    Without what was set anew in each recording.
+    """
+    alike = set_alike(dataset, robot, catalogue, anew)
+    squares = (missed(alike, robot, catalogue) ** 2).sum(axis=2)
     return np.sqrt(mean_over(squares, 0))
 
 
@@ -333,7 +348,7 @@ class Searched:
 
         for k, state in enumerate(search.path()):
             show('searching', k, STEPS_MAX)
-            after = errors_of(search.whole, search.written(state), search.catalogue)
+            after = errors_of(search.whole, search.written(state), search.catalogue, {})
             if k and np.isnan(after).all():
                 break  # a posture that was not used has no equilibrium
             states.append(state)
@@ -380,16 +395,18 @@ class Searched:
             added = [name for name in joined if name and name not in removed]
             dropped = tuple(name for name in removed if name not in joined)
             before = self.errors[min(max(begin, 0), taken)]
-            after, name = self.errors[k], ' + '.join(added)
-            steps.append(self._step(name, dropped, robots[k], before, after))
+            name, anew = ' + '.join(added), search.anew(states[k])
+            steps.append(self._step(name, dropped, robots[k], anew, before, self.errors[k]))
         last_step, errors, robot = kept.index(taken), self.errors[taken], robots[taken]
+        anew = search.anew(final)
         if self.last is not None and arm is not None:
-            step = self._step(AS_FOUND, (), arm.robot, errors, self.last)
+            step = self._step(AS_FOUND, (), arm.robot, arm.fit.anew, errors, self.last)
             steps.insert(last_step + 1 if self.arm_written else len(steps), step)
             if self.arm_written:
                 last_step, errors, robot = last_step + 1, self.last, arm.robot
-        predictor, markers = predict(search.dataset, robot, search.catalogue)
-        addition = self._addition(steps[: last_step + 1], robot, markers, errors)
+                anew = arm.fit.anew
+        predictor, _ = predict(dataset, robot, search.catalogue)
+        addition = self._addition(steps[: last_step + 1], robot, anew, errors)
         tips = np.sqrt(errors[:, -1])
         return Improvement(
             robot=with_origin(addition, search.robot),
@@ -410,20 +427,27 @@ class Searched:
             local_faults=self._faults(predictor),
             left_out=left_out(dataset, search.outliers, search.unsettled),
             as_built=arm_report(arm.session, arm.fit) if arm and self.arm_written else None,
+            anew=anew,
         )
 
     def _step(
-        self, joined: str, removed: tuple[str, ...], robot: Robot, before: Floats, after: Floats
+        self,
+        joined: str,
+        removed: tuple[str, ...],
+        robot: Robot,
+        anew: Members,
+        before: Floats,
+        after: Floats,
     ) -> ImprovementStep:
         """Return a step with its errors, those left out (P, J) [m²] before and after it."""
         catalogue, check = self.search.catalogue, self.check
-        fitted = errors_of(self.search.whole, robot, catalogue)
+        fitted = errors_of(self.search.whole, robot, catalogue, anew)
         left_out = np.sqrt(mean_over(after, 0))
-        checked = None if check is None else errors_of(check, robot, catalogue)
+        checked = None if check is None else errors_of(check, robot, catalogue, {})
         return ImprovementStep(joined, removed, fitted, left_out, checked, *fall(before, after))
 
     def _addition(
-        self, steps: Sequence[ImprovementStep], robot: Robot, markers: Floats, squares: Floats
+        self, steps: Sequence[ImprovementStep], robot: Robot, anew: Members, squares: Floats
     ) -> Addition:
         """Return the added effects with their errors (P, J) [m²], for the written description."""
         search, dataset, check, arm = self.search, self.search.dataset, self.check, self.arm
@@ -436,7 +460,8 @@ class Searched:
 
         fitted = errors('fitted', dataset, floor)
         final = self.states[self.taken]
-        chance = search.chance(replace(final, fit=replace(final.fit, markers=markers)))
+        alike = set_alike(dataset, robot, search.catalogue, anew)
+        chance = search.chance(missed(alike, robot, search.catalogue), len(final.fit.values))
         if arm is None:
             known = final.effects
             values, loads = values_of(known), loads_of(known, search.predictor)

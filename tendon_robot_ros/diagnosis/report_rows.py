@@ -91,7 +91,11 @@ def remainder_text(
 def _accounted(session: Session, residual: float, arm: Mapping[str, Any] | None) -> str:
     """Return the sentence on what accounts for a residual [m] that is more than noise, if any."""
     reference, known = session.dataset.reference, session.robot.model_error
-    told = {kind['kind']: kind['size'] for kind in (arm or {}).get('kinds', ()) if kind['told']}
+    told = {
+        kind['kind']: kind['size']
+        for kind in (arm or {}).get('kinds', ())
+        if kind['told'] and kind['kind'] not in ANEW.values()  # taken off the errors
+    }
     kinds = (kind.name for kind in session.imperfections.kinds)
     measured = session.floor_with(np.array([told.get(k, float(k == EARLIER)) for k in kinds]))
     if reference is not None and measured <= residual / SAME_ERROR_RATIO:
@@ -106,9 +110,7 @@ def _accounted(session: Session, residual: float, arm: Mapping[str, Any] | None)
     if residual < REPEATABILITIES_MAX * session.whitener.floor():
         return 'How an arm is built accounts for that: see its scatter.'
     if measured > residual / SAME_ERROR_RATIO:
-        anew = told.keys() & ANEW.values()
-        what = ', and what was set anew in each recording, account' if anew else ' accounts'
-        return f'The scatter that these measurements show{what} for that.'
+        return 'The scatter that these measurements show accounts for that.'
     return (
         f'The scatter that these measurements show accounts for {mm(measured, 2)}; '
         'for the rest they show no cause: other effects may be at work, too.'
@@ -181,14 +183,15 @@ class FittedErrors:
         return 0.0 if fraction is None else float(np.clip(fraction, 0.0, 1.0))
 
 
-def fitted_errors(session: Session, fit: Fit | None) -> FittedErrors:
-    """Return the errors of the descriptions that a fit writes; without one, as described."""
-    before, floor = error_of(session, session.robot), session.whitener.floor()
-    if fit is None:
+def fitted_errors(fits: Fits, chosen: Ranked | None) -> FittedErrors:
+    """Return the errors of the descriptions that a candidate writes; without one, as described."""
+    session, fit = fits.session, fits.base if chosen is None else fits.reported(chosen)
+    before, floor = error_of(session, session.robot, fit), session.whitener.floor()
+    if chosen is None:
         return FittedErrors(before, before, before, floor, False)
     descriptions = written(session, fit)
-    alone = error_of(session, descriptions.alone)
-    after = error_of(session, descriptions.robot) if descriptions.beside else alone
+    alone = error_of(session, descriptions.alone, fit)
+    after = error_of(session, descriptions.robot, fit) if descriptions.beside else alone
     return FittedErrors(before, alone, after, floor, descriptions.beside, descriptions.left_out)
 
 
@@ -255,7 +258,7 @@ def _row(fits: Fits, decision: Concluded, ranked: Ranked, errors: FittedErrors) 
     fit, session, best = ranked.fit, fits.session, ranked is decision.chosen
     reported = fits.reported(ranked) if best else fit
     needed = decision.verdict is not Verdict.ADEQUATE
-    error = error_of(session, described_by(session, reported, errors.beside))
+    error = error_of(session, described_by(session, reported, errors.beside), reported)
     known, alike = None, {one.candidate.label for one in decision.alike} or set(decision.together)
     if best:
         status, held_out = 'best', errors.left_out
@@ -301,6 +304,7 @@ def details_of(fits: Fits, decision: Concluded) -> dict[str, Any]:
         'caveats': caveats(session),
         **left_out(session.dataset, session.outliers, session.unsettled),
         'as_built': arm_report(session, fit),
+        'anew': fit.anew,
         'local_faults': faults_of(session, fit),
         'tolerances': dict(session.robot.tolerances),
         'moved': base.prior_z,

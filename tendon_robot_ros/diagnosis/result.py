@@ -19,6 +19,7 @@ from ..common.results import TextResult, make_frame, picture_axes, plain
 from ..common.words import LISTED_MAX, mm
 from ..effects import Catalogue
 from ..inference.description import PROFILE
+from ..inference.imperfections import Members
 from ..inference.intervals import LoadVector, Value, Values
 from ..inference.predict import FreeParameter, frees_of
 from ..robot import Robot
@@ -242,6 +243,7 @@ class Improvement(TextResult):
     local_faults: tuple[dict[str, Any], ...]  # where it is still wrong beyond the rest
     left_out: dict[str, Any]  # postures that do not settle, readings that others contradict
     as_built: dict[str, Any] | None = None  # its scatter, where the arm as found was taken
+    anew: Members = field(default_factory=dict)  # in each of several recordings; off the errors
 
     def __repr__(self) -> str:
         """Return the effects that joined, and the left-out error before and after."""

@@ -5,7 +5,8 @@ At each step the effect joins that lowers the error on left-out postures most. A
 fitted together again, with weak priors around the described values, so that undetermined ones stay
 there; effects that are no longer needed leave. One posture is left out at a time, in closed form
 from the Jacobian of a fit (`promise`). The weights include a model error (`noise.likely`), whose
-size is estimated after every step.
+size is estimated after every step, and what several recordings differ in beside the arm: zeros and
+the tracker's frame, set anew in each.
 """
 
 from __future__ import annotations
@@ -24,8 +25,15 @@ from ..effects import Catalogue
 from ..inference.candidates import Candidate, joining_effects
 from ..inference.crossval import FOLDS, folds_of, left_out_errors
 from ..inference.description import OF_THE_ARM, DescribedArm, blocks_of_the_arm, changed_robot
-from ..inference.fit import Fit, Nuisance, covariance_of, covariance_root
+from ..inference.fit import Fit, Nuisance, Scatter, covariance_of, covariance_root
 from ..inference.fitter import DEVIANCE_CONVERGED, FAILURES, Fitter
+from ..inference.imperfections import (
+    BuiltPredictor,
+    Imperfections,
+    Members,
+    between_recordings,
+    from_mean,
+)
 from ..inference.marginal import NEGLIGIBLE
 from ..inference.marginal import STEPS_MAX as ITERATIONS_MAX
 from ..inference.noise import Whitener, input_slopes, likely
@@ -102,13 +110,20 @@ def grown(
     return np.append(fit.residual, np.broadcast_to(back, q) / spread), jacobian
 
 
+class Weights(NamedTuple):
+    """The likely error of a prediction beside the effects."""
+
+    whitener: Whitener  # noise, and the error of a model in every posture
+    anew: Imperfections  # what several recordings differ in
+
+
 @dataclass(frozen=True)
 class State:
     """Blocks of parameters that have joined, fitted together."""
 
     blocks: tuple[Candidate, ...]
     fit: Fit  # rows of the priors last
-    whitener: Whitener
+    weights: Weights
     left_out: Floats  # (P,) [m²] mean over markers of the squared error, postures left out
     joined: str = ''  # the block that joined last
     removed: tuple[str, ...] = ()  # blocks that left after that
@@ -123,11 +138,21 @@ class State:
         """Names of the effects of the catalogue among them."""
         return {name for block in self.blocks for name in block.names} - set(OF_THE_ARM)
 
+    @property
+    def whitener(self) -> Whitener:
+        """The weights of the fit."""
+        return self.weights.whitener
+
+    @property
+    def moved(self) -> Floats | float:
+        """Change of the markers (P, J, 3) [m] by what was set anew in each recording."""
+        return self.weights.anew.moved(self.fit.anew)
+
     def beside(self, joining: Joining) -> Fit:
         """Return what a fit with a further block begins with: both, and their derivatives."""
         fit, start = self.fit, joining.start
         tangent = fit.tangent and fit.tangent.beside(joining.moves, start)
-        values = np.append(fit.values, list(start.values()))
+        values = np.append(fit.values[: len(fit.frees)], list(start.values()))
         return replace(fit, frees=(*fit.frees, *start), values=values, tangent=tangent)
 
     @property
@@ -146,6 +171,7 @@ class State:
             values=self.fit.values[own],
             residual=np.zeros(len(own)),
             jacobian=np.linalg.inv(np.linalg.cholesky(spread)),
+            built=Scatter.none(),
         )
 
 
@@ -200,7 +226,7 @@ class Stepwise:
         InputError
 
         """
-        if self.doubt is not None and rms(self.measured - last.fit.markers) > self.doubt.after:
+        if self.doubt is not None and rms(self.missed(last)) > self.doubt.after:
             self._refuse(self.doubt)
 
     def predict(self, point: Point) -> Floats:
@@ -209,11 +235,19 @@ class Stepwise:
         assert markers is not None
         return markers
 
+    def missed(self, state: State) -> Floats:
+        """Return measured minus predicted markers (P, J, 3) [m]."""
+        return np.asarray(self.measured - state.moved - state.fit.markers)
+
+    def anew(self, state: State) -> Members:
+        """Return how far what was set anew in each recording differs from their mean."""
+        return from_mean(state.fit.anew, len(self.dataset.divided))
+
     def squares(self, states: Sequence[State]) -> Floats:
         """Return squared errors (P, J) [m²], of each fold those of its state."""
         squares = np.full(self.measured.shape[:2], np.nan)
         for held, state in zip(self.folds, states, strict=True):
-            squares[held] = ((self.measured - state.fit.markers) ** 2).sum(axis=2)[held]
+            squares[held] = (self.missed(state) ** 2).sum(axis=2)[held]
         return squares
 
     def without(self, held: Held) -> Stepwise:
@@ -231,17 +265,17 @@ class Stepwise:
         """Yield the states of a search; the first has no blocks."""
         # [m²] that a block was to gain when it was last judged, by its label; see `promising`
         gains = dict[str, float]()
-        state = self.fitted((), {}, self.weights(self.predict({})))
-        assert state is not None  # `predict` has its equilibria
+        state = self.fitted((), {}, self.weights())
+        assert state is not None  # it has its equilibria
+        state = self.fitted((), state.fit, self.weights(state)) or state
         for _ in range(STEPS_MAX):
             yield state
-            if self.chance(state) > P_SINGLE_MIN:
+            if self.chance(self.missed(state), len(state.fit.values)) > P_SINGLE_MIN:
                 return  # nothing but noise remains
             better = self.step(state, gains)
             if better is None:
                 return
-            whitener = self.weights(better.fit.markers)
-            fitted = self.fitted(better.blocks, better.fit, whitener, better.joined)
+            fitted = self.fitted(better.blocks, better.fit, self.weights(better), better.joined)
             state = replace(fitted or better, removed=better.removed)
         yield state
 
@@ -268,7 +302,7 @@ class Stepwise:
                 break
             blocks = *(one for one in state.blocks if one is not leaving), joining.block
             start, label = state.beside(joining), joining.block.label
-            fitted = self.fitted(blocks, start, state.whitener, label, STEPS_TRIED)
+            fitted = self.fitted(blocks, start, state.weights, label, STEPS_TRIED)
             if fitted is not None and fitted.score <= limit:
                 best, limit = fitted, fitted.score
                 best = replace(best, removed=() if leaving is None else (leaving.label,))
@@ -280,7 +314,7 @@ class Stepwise:
             if self.acted_on(block, state) or self.promise(state, leaving=block) > state.score:
                 continue
             rest = tuple(one for one in state.blocks if one is not block)
-            fewer = self.fitted(rest, state.fit, state.whitener, state.joined)
+            fewer = self.fitted(rest, state.fit, state.weights, state.joined)
             if fewer is not None and fewer.score <= state.score:
                 state = replace(fewer, removed=(*state.removed, block.label))
         return state
@@ -454,7 +488,7 @@ class Stepwise:
         self,
         blocks: tuple[Candidate, ...],
         start: Fit | Point,
-        whitener: Whitener,
+        weights: Weights,
         joined: str = '',
         steps: int = ITERATIONS_MAX,
     ) -> State | None:
@@ -471,36 +505,48 @@ class Stepwise:
             Nuisance(free.effect, free, self.predictor.start(free), sd)
             for free, sd in zip(frees, spread_of(frees).tolist(), strict=True)
         ]
-        fitter = Fitter(self.predictor, whitener, priors)
+        fitter = Fitter(self.predictor, weights.whitener, priors, weights.anew)
         low = np.array([free.parameter.low for free in frees])
         high = np.array([free.parameter.high for free in frees])
         try:
-            search = fitter.search((), start)
+            search = fitter.search((), start, fitter.random.plausible)
             if not all_count:  # its errors count, its values are not told
                 search.gain_min = DEVIANCE_CONVERGED
             search.run(steps)
             fit = fitter.freeze(search, not all_count or steps < ITERATIONS_MAX)
             fit = replace(fit, frees=frees, nuisances=(), described=0.0)
-            slope = fit.jacobian.T @ fit.residual
-            pressed = (fit.values <= low) & (slope > 0.0) | (fit.values >= high) & (slope < 0.0)
-            free = fit.jacobian[:, ~pressed]
-            errors = left_out_errors(fit.residual, free, whitener, self.dataset.groups)
+            values, moves = fit.values[: len(frees)], fit.jacobian[:, : len(frees)]
+            slope = moves.T @ fit.residual
+            pressed = (values <= low) & (slope > 0.0) | (values >= high) & (slope < 0.0)
+            free = np.delete(fit.jacobian, np.flatnonzero(pressed), axis=1)
+            groups = self.dataset.groups
+            errors = left_out_errors(fit.residual, free, weights.whitener, groups)
         except FAILURES:
             return None
         if all_count:
             self.fits[names] = fit
-        return State(blocks, fit, whitener, errors, joined)
+        return State(blocks, fit, weights, errors, joined)
 
-    def weights(self, markers: Floats) -> Whitener:
-        """Return weights that include the error of a prediction, of estimated size."""
-        off = self.measured - markers
+    def weights(self, state: State | None = None) -> Weights:
+        """Return weights with an error of estimated size, at a state; default: as described."""
+        off = self.measured - self.predict({}) if state is None else self.missed(state)
         sizes = likely(self.dataset, self.noise, self.slopes, off, self.held)
-        return Whitener(self.dataset, self.noise, self.slopes, *sizes).without(self.held)
+        whitener = Whitener(self.dataset, self.noise, self.slopes, *sizes).without(self.held)
+        robot = self.robot if state is None else self.written(state)
+        arm = BuiltPredictor(Predictor(self.dataset, robot, self.catalogue))
+        anew = between_recordings(arm, None if state is None else state.fit.settled)
+        if anew is None:
+            anew = Imperfections.none(self.dataset) if state is None else state.weights.anew
+        return Weights(whitener, anew)
 
-    def chance(self, state: State) -> float:
-        """Return the p-value of the residual under noise alone, on postures not held out."""
-        white = self.plain.white(self.measured - state.fit.markers)
-        chi2, freedom = float(white @ white), max(len(white) - len(state.fit.frees), 1)
+    def chance(self, off: Floats, count: int) -> float:
+        """
+        Return the p-value of what a fit left `off` (P, J, 3) [m] by noise alone.
+
+        Of a fit of so many parameters, on postures not held out.
+        """
+        white = self.plain.white(off)
+        chi2, freedom = float(white @ white), max(len(white) - count, 1)
         return misfit_p_value(chi2, freedom, self.noise.freedom)
 
     def written(self, state: State) -> Robot:

@@ -20,6 +20,7 @@ from ..robot import Robot
 from .description import WRITABLE_KINDS, changed_robot, with_members, with_values
 from .fit import LEVERAGE_MAX, Fit, covariance_root, left_out
 from .fitter import Fitter
+from .imperfections import ANEW, BuiltPredictor, Members
 from .marginal import RIDGE
 from .noise import Whitener, estimate_noise, input_slopes
 from .predict import Predictor, SettledShapes
@@ -59,6 +60,28 @@ def explained_fraction(before: float, after: float, floor: float) -> float | Non
     """
     unexplainable = min(floor, after)
     return (before - after) / (before - unexplainable) if before > unexplainable else None
+
+
+def set_alike(
+    dataset: DataSet,
+    robot: Robot,
+    catalogue: Catalogue,
+    anew: Members,
+    near: SettledShapes | None = None,
+) -> DataSet:
+    """
+    Return several recordings as if nothing had been set anew in each of them.
+
+    A description cannot hold zeros and tracker's frames of single recordings, so that the errors
+    of descriptions are those without them. Nothing is changed without an equilibrium.
+    """
+    if not anew:
+        return dataset
+    arm = BuiltPredictor(Predictor(dataset, robot, catalogue))
+    markers = arm.markers({}, near=None if arm.carries else near)
+    arm.around = anew
+    moved = None if markers is None else arm.markers({}, near=arm.settled)
+    return dataset if markers is None or moved is None else dataset.less(moved - markers)
 
 
 def errors_on(
@@ -180,12 +203,13 @@ def written_markers(
     Predict the markers (P, J, 3) [m] of a description with values (q,) of a fit.
 
     The values are clipped to their bounds, with the tolerances and imperfections that the
-    description can hold (`beside`), or without. None without equilibrium.
+    description can hold (`beside`), or without; with what was set anew in each recording. None
+    without equilibrium.
     """
     frees = fit.all_frees if beside else fit.frees
     named = fit.built.random.named(values[len(fit.all_frees) :], fit.built.sizes)
-    around = {kind: own for kind, own in named.items() if kind in WRITABLE_KINDS}
-    fitter.linearise_around(around if beside else {})
+    kinds = (*ANEW.values(), *(WRITABLE_KINDS if beside else ()))
+    fitter.linearise_around({kind: own for kind, own in named.items() if kind in kinds})
     point = {free: free.clip(value) for free, value in zip(frees, values.tolist(), strict=False)}
     return fitter.predictor.markers(point, near=fit.settled)
 
@@ -265,7 +289,7 @@ def written(session: Session, fit: Fit) -> Written:
     lost = np.isfinite(plain) & ~np.isfinite(together)  # without an equilibrium
     robot = described_by(session, fit, beside=True)
     helps = root_mean(together) <= LEFT_OUT_RATIO_MAX * error and not lost.any()
-    if not helps or np.isnan(error_of(session, robot)):
+    if not helps or np.isnan(error_of(session, robot, fit)):
         return Written(alone, alone, False, error, plain)
     return Written(alone, robot, True, error, together)
 
@@ -280,14 +304,15 @@ def described_by(session: Session, fit: Fit, beside: bool) -> Robot:
     return with_members(moved, fit, session.dataset.input)
 
 
-def error_of(session: Session, robot: Robot) -> float:
+def error_of(session: Session, robot: Robot, fit: Fit) -> float:
     """
-    Return the rms error [m] on the measurements.
+    Return the rms error [m] on the measurements, without what a fit shows to be set anew in each.
 
     Nan without an equilibrium, and where a fit went beyond what a description can hold.
     """
     near = session.described[0].settled if session.dataset.thinned_from else None
     try:
-        return rms_of(session.whole, robot, session.catalogue, near)
+        alike = set_alike(session.whole, robot, session.catalogue, fit.anew, near)
+        return rms_of(alike, robot, session.catalogue, near)
     except RobotDescriptionError:
         return np.nan

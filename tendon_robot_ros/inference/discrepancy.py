@@ -25,7 +25,6 @@ from ..data import DataSet, DataSetLike, load_dataset
 from ..data.dataset import EarlierRecording
 from ..effects import CatalogueLike, load_catalogue
 from .crossval import described_by, predict
-from .imperfections import ANEW
 from .noise import NEGLIGIBLE
 from .predict import mean_inputs
 from .session import Question
@@ -101,8 +100,7 @@ def since(
     settled = session.dataset
     # a sequence has postures on its way of which not all markers, or none, were read
     seen = np.flatnonzero((settled.counts > 0).all(axis=1))
-    between = {kind: fit.members[kind] for kind in ANEW.values() if kind in fit.members}
-    moved = session.imperfections.moved(between)  # of several recordings
+    moved = session.imperfections.moved(fit.anew)  # of several recordings
     off = (settled.mean - moved - predict(settled, found, session.catalogue)[1])[seen]
     heights = settled.arc_lengths / described.length
     tracker = session.noise.position**2 / settled.counts[seen].mean(axis=1)  # (P,) [m²]
@@ -111,12 +109,11 @@ def since(
     deviations = DeviationProcess(
         np.nan_to_num(session.predictor.inputs[seen]), off, heights, driven, tracker
     )
-    spread = {kind: root for kind, root in fit.spread.items() if kind not in between}
+    spread = {kind: root for kind, root in fit.spread.items() if kind not in fit.anew}
     taken, doubt, noise = deviations.at(np.nan_to_num(mean_inputs(new)))
     return replace(
-        new,
+        new.less(taken),
         robot=found,
-        positions=new.positions - taken[:, None],
         reference=EarlierRecording(
             old.name, deviations.error, doubt, noise, spread, tuple(lacked)
         ),

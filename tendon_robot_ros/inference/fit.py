@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag, null_space
 
 from ..common.arrays import Bools, Floats, Ints
-from .imperfections import Kind, Members
+from .imperfections import ANEW, Kind, Members
 from .marginal import Prior, RandomEffects, Sizes, root_inverse
 from .predict import FreeParameter, SettledShapes, Tangent
 from .statistics import QUANTILE, SIGNIFICANCE, chi2_sf, misfit_p_value
@@ -112,6 +112,11 @@ class Fit:
     def members(self) -> dict[str, Floats]:
         """Most likely imperfections by kind [unit], without the remainder."""
         return self.built.random.named(self.values[len(self.all_frees) :], self.built.sizes)
+
+    @property
+    def anew(self) -> Members:
+        """What was set anew in each of several recordings, or since a reference, by kind."""
+        return {kind: own for kind, own in self.members.items() if kind in ANEW.values()}
 
     @property
     def spread(self) -> dict[str, Floats]:

@@ -286,6 +286,37 @@ def imperfections(
     return Imperfections((*kinds, rest), np.concatenate([moves, columns]))
 
 
+def between_recordings(arm: BuiltPredictor, near: SettledShapes | None) -> Imperfections | None:
+    """
+    Return what several recordings differ in as set anew for each: zeros and the tracker's frame.
+
+    Their mean belongs to the description, so that the slopes by a member are those of its
+    difference from the mean of all recordings; see `from_mean`. Of one recording there is nothing.
+    None where the model has no equilibrium, which is looked for from `near`.
+    """
+    count, around = len(arm.dataset.divided), arm.around
+    kinds = tuple(kind for kind in arm.kinds() if count > 1 and kind.name in ANEW.values())
+    if not kinds:
+        return Imperfections.none(arm.dataset)
+    if arm.markers({}, near=near) is None:
+        return None
+    moves = np.split(member_moves(arm, {}, kinds), np.cumsum([len(kind) for kind in kinds])[:-1])
+    arm.around = around
+    return Imperfections(kinds, np.concatenate([_from_mean(own, count) for own in moves]))
+
+
+def from_mean(members: Members, recordings: int) -> Members:
+    """Return how far what was set anew in each of so many recordings differs from their mean."""
+    anew = ((kind, members[kind]) for kind in ANEW.values() if kind in members)
+    return {kind: _from_mean(own, recordings) for kind, own in anew}
+
+
+def _from_mean(rows: Floats, recordings: int) -> Floats:
+    """Return rows (q, ...), those of one recording after the other, less their mean."""
+    each = rows.reshape(recordings, -1, *rows.shape[1:])
+    return np.asarray(each - each.mean(axis=0)).reshape(rows.shape)
+
+
 def member_moves(arm: BuiltPredictor, point: Point, kinds: Sequence[Kind]) -> Floats:
     """
     Return the slopes (q, P, J, 3) [m per unit] of the markers by all members of kinds.

@@ -19,6 +19,7 @@ from ..diagnosis.missing_moment import MissingMoment, missing_moment
 from ..diagnosis.result import NOT_NEEDED, CandidateRow, Diagnosis, found_values
 from ..diagnosis.verdict import P_SINGLE_MIN, Verdict
 from ..effects import Catalogue, load_catalogue
+from ..inference.crossval import set_alike
 from ..inference.description import with_values
 from ..robot import Robot
 from . import diagnosis_text
@@ -86,6 +87,7 @@ def pictures_of(
         models.append((name, after))
     if unsettled := set(diagnosis.details.get('unsettled') or ()):
         dataset = dataset.select(set(dataset.postures) - unsettled)
+    dataset = set_alike(dataset, robot, catalogue, diagnosis.details.get('anew', {}))
     try:
         comparison = compare(dataset, models, catalogue)
     except NoEquilibriumError:

@@ -171,13 +171,15 @@ def with_arm(diagnosis: Diagnosis) -> bool:
 
 def errors(diagnosis: Diagnosis) -> list[str]:
     """Explain the errors, if there is more than one after the verdict."""
+    taken = sentences.anew_lines(diagnosis.details.get('anew', {}))
     if not with_arm(diagnosis):
-        return []
+        return taken
     names = listed([effect.name for effect in diagnosis.effects])
     return [
         f'error: {mm(diagnosis.error_before)} as described -> {mm(diagnosis.error_alone)} with '
         f'{names} alone -> {mm(diagnosis.error_after)} with the arm as it was found as well '
-        '(tolerances and imperfections), which is what `add` writes'
+        '(tolerances and imperfections), which is what `add` writes',
+        *taken,
     ]
 
 
@@ -464,7 +466,7 @@ def more_lines(more_at_work: str, error: float | None) -> list[str]:
 
 def addition_warnings(addition: Addition) -> list[str]:
     """Say what else is written and at work, which tolerances moved, when a check got worse."""
-    texts = []
+    texts = sentences.anew_lines(addition.anew)
     if addition.beside:
         also = also_written(addition)
         texts.append(

@@ -15,11 +15,12 @@ from ..comparison.compare import compare
 from ..data import DataSet
 from ..diagnosis.result import COLOURS, Improvement, total
 from ..effects import Catalogue
+from ..inference.crossval import set_alike
 from .comparison import add_shapes, interval
 from .diagnosis_text import more_lines
 from .error_plots import per_marker, per_posture
 from .page import Figure, Page, Shown, axes, mm_list, titled, trace
-from .sentences import as_built, excluded_lines, of_effects, where_wrong
+from .sentences import anew_lines, as_built, excluded_lines, of_effects, where_wrong
 
 NOT_WRITTEN = 'Nothing was written: there is no step that lowers the error on left-out postures.'
 
@@ -72,7 +73,7 @@ def sentences(improvement: Improvement) -> list[str]:
         why = f'what remains is noise ({probability(improvement.probability)})'
     elif improvement.taken + 1 < len(improvement.steps):
         why = 'what follows takes off too little to be told from chance'
-    return [*texts, f'It stops there: {why}.']
+    return [*texts, f'It stops there: {why}.', *map(capital, anew_lines(improvement.anew))]
 
 
 def profile(improvement: Improvement) -> list[str]:
@@ -115,7 +116,8 @@ def improvement_page(improvement: Improvement, dataset: DataSet, catalogue: Cata
     page.heading('What remains')
     page.text(*map(capital, remains(improvement)))
     models = [('as described', dataset.robot), ('improved', improvement.robot)]
-    comparison = compare(dataset, models, catalogue)
+    alike = set_alike(dataset, improvement.robot, catalogue, improvement.anew)
+    comparison = compare(alike, models, catalogue)
     page.figures([per_marker(comparison), per_posture(comparison)], 'two')
     add_shapes(page, comparison, improvement.local_faults)
     return page

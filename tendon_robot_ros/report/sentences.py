@@ -18,6 +18,7 @@ from ..common.words import commands, digits, listed, mm, scale_of, spoken, with_
 from ..common.words import described_quantity as described_quantity
 from ..comparison.result import Comparison
 from ..diagnosis.verdict import FALSE_DISCOVERY_RATE
+from ..inference.imperfections import PLAUSIBLE_SIZES
 from ..inference.intervals import LoadVector, Value, Values
 from ..robot.estimates import BY_EYE_RAD
 from .page import Shown
@@ -223,6 +224,15 @@ def as_built(report: Mapping[str, Any] | None) -> list[str]:
     if hidden := [KIND_NAMES[kind['kind']] for kind in report['kinds'] if not kind['told']]:
         lines.append(f'these measurements do not tell: {", ".join(hidden)}')
     return lines
+
+
+def anew_lines(anew: Mapping[str, Any]) -> list[str]:
+    """Say what was set anew in each of several recordings, by how much, and is no error."""
+    sizes = [
+        f'{KIND_NAMES[kind]} ({amount(float(np.abs(own).max()), PLAUSIBLE_SIZES[kind][0])})'
+        for kind, own in anew.items()
+    ]
+    return [f'taken off the errors, as found (at most): {", ".join(sizes)}'] if sizes else []
 
 
 def excluded_lines(details: Mapping[str, Any]) -> list[str]:
