@@ -47,7 +47,14 @@ from ..inference.imperfections import (
     Members,
     imperfections,
 )
-from ..inference.intervals import LoadVector, Value, Values, loads_of, values_of
+from ..inference.intervals import (
+    UNDETERMINED,
+    LoadVector,
+    Value,
+    Values,
+    loads_of,
+    values_of,
+)
 from ..inference.predict import FreeParameter, Predictor
 from ..inference.session import Question, Session
 from ..inference.statistics import QUANTILE, mean_over
@@ -131,9 +138,12 @@ class AsFound:
         kinds = [kind.name for kind in self.fit.built.kinds]
         for free in self.state.effects.frees:
             tolerance = free.parameter.tolerance
+            own = values.setdefault(free.effect, {})
             if tolerance in FRAME and tolerance in kinds:
-                own = self._with_imperfection(free, kinds.index(tolerance))
-                values.setdefault(free.effect, {})[free.key] = own
+                own[free.key] = self._with_imperfection(free, kinds.index(tolerance))
+            elif free.key not in own:  # of one tendon or section, which a fit leaves as it was
+                low, high, unit = free.parameter.low, free.parameter.high, free.parameter.unit
+                own[free.key] = Value(self.state.fit.point[free], low, high, unit, UNDETERMINED)
         return values
 
     def _with_imperfection(self, free: FreeParameter, k: int) -> Value:

@@ -30,6 +30,7 @@ CURVATURE_ERROR_MAX = 0.1  # [1] of an end by curvature, else the profile likeli
 DIRECTION_TOLERANCE_RAD = 0.25 * math.pi  # [rad] half an interval, else it would be a guess
 CORRELATED_FROM = 0.98  # [1] correlation of two values; else an interval would be 5 times as wide
 NODES = 14  # [1] sizes at which an estimate is known, so that neighbours differ by a factor of 1.7
+UNDETERMINED = 'not determined by these postures'
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Value:
     low: float
     high: float
     unit: str
-    note: str = ''  # 'at its bound', 'not determined by these postures', 'correlated with ...'
+    note: str = ''  # 'at its bound', `UNDETERMINED`, 'correlated with ...'
 
     def spanning(self, other: Value) -> Value:
         """Return the value with an interval that holds that of another one, too."""
@@ -438,7 +439,7 @@ def values_with_intervals(fitter: Fitter, fit: Fit, scale: float = 1.0) -> Value
 def _note(fit: Fit, i: int, half: float) -> str:
     parameter = fit.frees[i].parameter
     if not half < (parameter.high - parameter.low):
-        return 'not determined by these postures'
+        return UNDETERMINED
     if fit.values[i] in (parameter.low, parameter.high):
         return 'at its bound'
     spread = np.sqrt(np.diag(fit.covariance))
