@@ -35,7 +35,7 @@ def state_of(search, *names):
     """Return blocks fitted together by a search."""
     blocks = tuple(next(b for b in search.blocks if b.label == name) for name in names)
     start = {free: 0.5 * free.parameter.typical for block in blocks for free in block.frees}
-    return search.fitted(blocks, start, search.weights(search.predict({})))
+    return search.fitted(blocks, start, search.weights())
 
 
 @pytest.fixture(scope='module')

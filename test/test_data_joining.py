@@ -15,6 +15,9 @@ from tendon_robot_ros.data import join, load_dataset, save_dataset
 from tendon_robot_ros.data.dataset import EarlierRecording, names_in
 from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
+from tendon_robot_ros.diagnosis.improve import improve
+from tendon_robot_ros.diagnosis.result import total
+from tendon_robot_ros.inference.crossval import set_alike
 from tendon_robot_ros.inference.imperfections import (
     ANEW,
     POSITION,
@@ -24,6 +27,7 @@ from tendon_robot_ros.inference.imperfections import (
 )
 from tendon_robot_ros.inference.predict import Predictor
 from tendon_robot_ros.model.model import Model
+from tendon_robot_ros.report.improvement_page import improvement_lines
 from tendon_robot_ros.robot.estimates import natural_sizes
 from tendon_robot_ros.simulation.hidden import Workmanship
 from tendon_robot_ros.simulation.measurements import simulate
@@ -163,6 +167,27 @@ def test_zeros_and_trackers_frame_may_differ_between_recordings(robot, input):
     for found in diagnose(new, reference=old), diagnose(new[1], reference=old[0]):
         told = {effect.name: effect.parameters for effect in found.effects}
         assert told['tip_load']['force_x'].low <= force <= told['tip_load']['force_x'].high
+
+
+@pytest.mark.long
+@pytest.mark.parametrize('input', ['tension', 'displacement'])
+@pytest.mark.parametrize('robot', ['planar', 'spatial'])
+def test_what_is_set_anew_in_each_recording_is_no_error_of_a_description(robot, input):
+    """Errors are those of the arm whose zeros and tracker stayed as they were."""
+    robot = {'planar': planar(5), 'spatial': spatial(4)}[robot]
+    robot = replace(robot, gravity=(0.0, 0.0, 0.0))
+    lacks = {'tendon_friction': {'friction_coefficient': 0.15}}
+    same, again = (on_two_days(robot, input, 5, lacks, moved) for moved in (0.0, 1.0))
+    once, better = improve(same), improve(again)
+    assert total(better.chosen) < 1.3 * total(once.chosen)
+    told = better.falling['fitted'][better.taken]
+    alone, added = (add_effects(sets, ['tendon_friction']) for sets in (same, again))
+    for kind in ('fitted', 'check'):
+        one, other = (getattr(addition, kind) for addition in (alone, added))
+        assert other.after == pytest.approx(one.after, rel=0.1), kind
+    alike = set_alike(join(again), better.robot, simulated.CATALOGUE, better.anew)
+    assert compare(alike, better.robot).models[0].rms == pytest.approx(told, rel=0.01)
+    assert any('position of the tracker in each' in text for text in improvement_lines(better))
 
 
 def test_a_known_load_gives_the_scale_of_forces():

@@ -149,7 +149,7 @@ def test_an_effect_that_keeps_a_better_one_out_is_exchanged_for_it(name):
     own = ('backbone_stiffness', 'section_stiffness')
     search.blocks = [block for block in search.blocks if block.label in own]
     (first,) = (block for block in search.blocks if block.label == own[0])
-    state = search.fitted((first,), {}, search.weights(search.predict({})))
+    state = search.fitted((first,), {}, search.weights())
     better = search.step(state, {})
     assert (better.names, better.removed) == ({own[1]}, (own[0],))
     assert better.score < state.score
