@@ -17,6 +17,7 @@ from tendon_robot_ros.diagnosis.add import add_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.improve import improve
 from tendon_robot_ros.diagnosis.result import total
+from tendon_robot_ros.diagnosis.verdict import Verdict
 from tendon_robot_ros.inference.crossval import set_alike
 from tendon_robot_ros.inference.imperfections import (
     ANEW,
@@ -167,6 +168,9 @@ def test_zeros_and_trackers_frame_may_differ_between_recordings(robot, input):
     for found in diagnose(new, reference=old), diagnose(new[1], reference=old[0]):
         told = {effect.name: effect.parameters for effect in found.effects}
         assert told['tip_load']['force_x'].low <= force <= told['tip_load']['force_x'].high
+    mixed = diagnose([old[0], new[1]])
+    mind = any("diagnose 'day 1' --reference 'day 0'" in said for said in mixed.details['caveats'])
+    assert mind == (mixed.verdict is Verdict.OUTSIDE_CATALOGUE)
 
 
 @pytest.mark.long

@@ -9,8 +9,9 @@ import numpy as np
 
 from ..common.errors import InputError, NoEquilibriumError, Progress, whole
 from ..common.processes import one_thread
-from ..common.words import listed, mm
+from ..common.words import listed, mm, typed
 from ..data import DataSet, DataSetLike, load_dataset
+from ..data.dataset import names_in
 from ..effects import CatalogueLike, load_catalogue
 from ..inference.crossval import described_by, error_of, rms_of
 from ..inference.discrepancy import earlier_of, since
@@ -122,6 +123,12 @@ def diagnose(
         diagnosis = _weighed_against(session, mistake, diagnosis)
     caveats = list(diagnosis.details.get('caveats', ()))
     caveats += implausible(diagnosis) + in_shares(diagnosis, dataset.input)
+    recordings = names_in(dataset.name)
+    outside = diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE and reference is None
+    if outside and len(dataset.divided) == len(recordings) > 1:
+        first, *later = recordings
+        command = typed('diagnose', later[0], '--reference', first)
+        caveats.append(f'if something has changed between these recordings, `{command}` names it')
     quiet = described is not None and described.quiet
     limit = np.inf if quiet else RESIDUAL_PARTLY_MAX * diagnosis.error_after
     first = rivals[0] if rivals and rivals[0].explained.residual < limit else None
