@@ -123,18 +123,23 @@ def diagnose(
         diagnosis = _weighed_against(session, mistake, diagnosis)
     caveats = list(diagnosis.details.get('caveats', ()))
     caveats += implausible(diagnosis) + in_shares(diagnosis, dataset.input)
-    recordings = names_in(dataset.name)
-    outside = diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE and reference is None
-    if outside and len(dataset.divided) == len(recordings) > 1:
-        first, *later = recordings
-        command = typed('diagnose', later[0], '--reference', first)
-        caveats.append(f'if something has changed between these recordings, `{command}` names it')
+    caveats += _changed_between(diagnosis, dataset)
     quiet = described is not None and described.quiet
     limit = np.inf if quiet else RESIDUAL_PARTLY_MAX * diagnosis.error_after
     first = rivals[0] if rivals and rivals[0].explained.residual < limit else None
     if first is not None and not (quiet and first.agrees(diagnosis)):
         caveats.append(first.possible(quiet))
     return replace(diagnosis, details={**diagnosis.details, 'caveats': caveats})
+
+
+def _changed_between(diagnosis: Diagnosis, dataset: DataSet) -> list[str]:
+    """Return the caveat on several recordings that no cause of the catalogue explains."""
+    first, *later = names_in(dataset.name)
+    outside = diagnosis.verdict is Verdict.OUTSIDE_CATALOGUE and dataset.reference is None
+    if not outside or not later or len(dataset.divided) < 2:
+        return []
+    command = typed('diagnose', later[0], '--reference', first)
+    return [f'if something has changed between these recordings, `{command}` names it']
 
 
 def changed_since(
