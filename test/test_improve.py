@@ -310,6 +310,8 @@ def test_a_step_that_needs_a_later_one_is_shown_with_it():
     assert shown(squares[:, None, None], 0) == [0, 1, 2, 3, 4, 5, 6]
     lower = np.array([9.0, 4.0, 1.9, 2.0])  # the one before was within its scatter
     assert shown(lower[:, None, None], 3) == [0, 1, 3]
+    lost = np.array([9.0, np.inf, 4.0, np.inf, 3.9])  # no equilibrium until the next has joined
+    assert shown(lost[:, None, None], 2) == [0, 2, 4]
 
 
 @pytest.mark.parametrize(

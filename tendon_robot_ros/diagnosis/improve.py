@@ -33,8 +33,8 @@ from ..inference.crossval import (
     left_out_squares,
     missed,
     predict,
+    rms_of,
     set_alike,
-    written_markers,
 )
 from ..inference.description import OF_THE_ARM, WRITABLE_KINDS, route_changes, stiffness_change
 from ..inference.fit import Fit, covariance_root
@@ -95,8 +95,8 @@ class AsFound:
         """Whether it lowers the left-out error of its search by more than the standard error."""
         before = self.state.left_out[:, None]
         predicted = np.isfinite(self.left_out[np.isfinite(before[:, 0])]).any(axis=1)
-        written = written_markers(self.session.fitter, self.fit, self.fit.values)
-        if written is None or not predicted.all():
+        search = self.search
+        if not predicted.all() or np.isnan(rms_of(search.whole, self.robot, search.catalogue)):
             return False  # a posture has no equilibrium
         gain, scatter = fall(before, self.left_out)
         return gain > scatter
@@ -313,14 +313,15 @@ def shown(errors: Floats, taken: int) -> list[int]:
     """
     Return which steps are shown: of those taken only the ones that lower the left-out error.
 
-    A step that lowers it only with a later one is merged with that; `errors` (K, P, J) [m²].
+    A step that lowers it only with a later one, or has no equilibrium, is merged with that;
+    `errors` (K, P, J) [m²].
     """
     squares = np.nanmean(errors, axis=(1, 2))
     kept = [0]
     for k in range(1, taken + 1):
         if k == taken or squares[taken] < squares[k] < squares[kept[-1]]:
             kept.append(k)
-    return [*kept, *range(taken + 1, len(squares))]
+    return [*kept, *(k for k in range(taken + 1, len(squares)) if np.isfinite(squares[k]))]
 
 
 def errors_of(dataset: DataSet, robot: Robot, catalogue: Catalogue, anew: Members) -> Floats:
@@ -359,13 +360,13 @@ class Searched:
         for k, state in enumerate(search.path()):
             show('searching', k, STEPS_MAX)
             after = errors_of(search.whole, search.written(state), search.catalogue, {})
-            if k and np.isnan(after).all():
-                break  # a posture that was not used has no equilibrium
             states.append(state)
             for i, (walk, path) in enumerate(zip(walks, paths, strict=True)):
                 show('searching without some postures', i, len(walks))
                 path.append(next(walk, None) or path[-1])
-            errors.append(search.squares([path[-1] for path in paths]))
+            # where a posture that was not used has no equilibrium it is not written
+            lost = np.inf if np.isnan(after).all() else 0.0
+            errors.append(search.squares([path[-1] for path in paths]) + lost)
             if k - int(np.argmin(np.nanmean(errors, axis=(1, 2)))) == STEPS_IN_VAIN:
                 break
         chosen = search.squares([path[last_worthwhile(inner(path))] for path in paths])

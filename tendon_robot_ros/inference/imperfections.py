@@ -341,7 +341,12 @@ def member_moves(arm: BuiltPredictor, point: Point, kinds: Sequence[Kind]) -> Fl
     def moves(part: Conditions) -> list[Move]:
         return [arm.member(name, i, part) for name, i, _ in named]
 
-    return arm.tangent_by(moves, point).markers
+    slopes = arm.tangent_by(moves, point).markers
+    # a singular equilibrium has no slope: no member moves a marker by the length of the arm
+    sizes = np.array([PLAUSIBLE_SIZES[name][1] for name, _, _ in named])
+    reach = sizes[:, None] * np.sqrt(np.square(slopes).sum(axis=3)).max(axis=2)
+    slopes[reach > arm.robot.length] = 0.0
+    return slopes
 
 
 def forces_along(
