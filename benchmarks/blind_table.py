@@ -20,7 +20,7 @@ from machine import machine
 
 from tendon_robot_ros.common.words import mm
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.diagnosis.add import Addition, add_effects
+from tendon_robot_ros.diagnosis.add import Addition, add_effect
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.result import Diagnosis
 from tendon_robot_ros.diagnosis.verdict import Verdict
@@ -67,7 +67,7 @@ def judge(name: str, truth: dict[str, Any]) -> Outcome:
     start = time.perf_counter()
     found = diagnose(fit)
     seconds = time.perf_counter() - start
-    made = add_effects(fit, found.effects, check=check) if found.adds else None
+    made = add_effect(fit, found.effects, check=check) if found.adds else None
     return Outcome(name, truth, found, made, seconds)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from tendon_robot_ros.common.errors import NoEquilibriumError
 from tendon_robot_ros.control import ControllerCore, Settings, Target
-from tendon_robot_ros.diagnosis.add import add_effects
+from tendon_robot_ros.diagnosis.add import add_effect
 from tendon_robot_ros.effects import Catalogue, load_catalogue
 from tendon_robot_ros.model.derivatives import tip_slopes
 from tendon_robot_ros.model.model import Model
@@ -78,7 +78,7 @@ def identified(name, plant):
     low, high = np.array([robot.tension_limits] * len(robot.inputs)).T
     commands = low + np.random.default_rng(11).random((VISITED, len(low))) * 0.2 * (high - low)
     seen = simulate(plant, commands, trials=VISITS, path='visits', seed=2)
-    return add_effects(seen, LAW).robot
+    return add_effect(seen, LAW).robot
 
 
 def recorded(name, plant):
@@ -88,7 +88,7 @@ def recorded(name, plant):
     random = np.random.default_rng(12).random((VISITED * VISITS, len(low)))
     commands = low + random * 0.2 * (high - low)
     seen = simulate(plant, commands, trials=1, path='sequence', seed=2)
-    return add_effects(seen, LAW).robot
+    return add_effect(seen, LAW).robot
 
 
 DESCRIBED = {'memory': calibrated, 'law': identified, 'recorded': recorded}

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from tendon_robot_ros import compare, dump_robot, import_table, load_robot
-from tendon_robot_ros.diagnosis.add import add_effects
+from tendon_robot_ros.diagnosis.add import add_effect
 
 SERVOS = (4, 3, 9, 5, 2, 8, 6, 1, 7)  # that wind the wires w0 to w8
 EFFECTS = ('base_misalignment', 'section_stiffness', 'pre_curvature')
@@ -31,8 +31,8 @@ train, validation = (
     replace(import_table(tables / f'{name}.csv', robot, RECIPE).dataset, position_noise=3e-4)
     for name in ('train', 'val')
 )
-forgets = add_effects(train, EFFECTS).robot
-remembers = add_effects(train, (*EFFECTS, MEMORY)).robot
+forgets = add_effect(train, EFFECTS).robot
+remembers = add_effect(train, (*EFFECTS, MEMORY)).robot
 models = [('as described', robot), ('that forgets', forgets), ('that remembers', remembers)]
 comparison = compare(validation, models)
 print(comparison.text())

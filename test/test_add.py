@@ -16,7 +16,7 @@ from source_tree import ROOT
 from tendon_robot_ros.common.errors import EffectError, InputError
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.diagnosis.add import add_effects, restore
+from tendon_robot_ros.diagnosis.add import add_effect, restore
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.inference import crossval
 from tendon_robot_ros.inference.outliers import find_outliers
@@ -39,7 +39,7 @@ def added(letter, exact=False):
     fit, check = (load_dataset(blind(letter) / part) for part in ('fit', 'check'))
     name = NAMED.get(hidden['hidden'], hidden['hidden'])
     robot = replace(fit.robot, exact=True) if exact else None
-    return add_effects(fit, [name], robot, check=check), hidden['parameters'], name
+    return add_effect(fit, [name], robot, check=check), hidden['parameters'], name
 
 
 # one of every kind of arm; b is added by the command (test_diagnose_command.py), and as many
@@ -55,7 +55,7 @@ def test_adding_what_a_blind_case_hides_removes_its_error(letter):
 
 
 def test_what_only_one_posture_shows_counts_as_described_where_that_is_left_out():
-    lone = add_effects(measured(ROBOT, {'tip_load': {'force_x': 0.05}}, count=1), ['tip_load'])
+    lone = add_effect(measured(ROBOT, {'tip_load': {'force_x': 0.05}}, count=1), ['tip_load'])
     assert lone.fitted.after < 0.2 * lone.fitted.before
     assert lone.check.after == pytest.approx(lone.check.before)
 
@@ -73,7 +73,7 @@ def test_memory_is_added_to_a_sequence():
 def hinged():
     """Return measurements of hinge friction and what was added."""
     dataset = measured(ROBOT, HINGES)
-    return dataset, add_effects(dataset, ['hinge_friction'])
+    return dataset, add_effect(dataset, ['hinge_friction'])
 
 
 def test_the_staircase_is_what_the_descriptions_say(hinged):
@@ -91,7 +91,7 @@ def diagnosed(name):
     """Return measurements of an arm as built, their diagnosis, and what is named as added."""
     dataset = load_dataset(AS_BUILT / name / 'fit')
     found = diagnose(dataset)
-    return dataset, found, add_effects(dataset, [effect.name for effect in found.effects])
+    return dataset, found, add_effect(dataset, [effect.name for effect in found.effects])
 
 
 # of another arm that hides hinge friction (messy_002) test_diagnose_command.py says the same
@@ -150,7 +150,7 @@ def test_an_arm_as_found_that_has_no_equilibrium_on_a_posture_left_out_is_not_wr
         return squares
 
     monkeypatch.setattr(crossval, 'left_out_squares', without_one)
-    assert not add_effects(dataset, list(made.values)).beside
+    assert not add_effect(dataset, list(made.values)).beside
 
 
 def without_outliers(dataset):
@@ -182,7 +182,7 @@ def test_removing_undoes_adding_and_leaves_the_arm_as_it_is_built(hinged):
     assert 'hinge_friction' not in robot.effects | robot.fitted
     assert robot.sections == made.robot.sections
     exact = replace(ROBOT, exact=True)
-    added = add_effects(dataset, ['hinge_friction'], exact).robot
+    added = add_effect(dataset, ['hinge_friction'], exact).robot
     assert dump_robot(restore(added, 'hinge_friction')[0]) == dump_robot(exact)
     with pytest.raises(InputError, match=r"effects: no 'tip_load' to remove; listed: tendon_fric"):
         restore(made.robot, 'tip_load')
@@ -191,7 +191,7 @@ def test_removing_undoes_adding_and_leaves_the_arm_as_it_is_built(hinged):
 def test_an_effect_that_is_there_gets_new_values_and_its_old_ones_back():
     before = {'lever': 1e-4}
     robot = replace(ROBOT, effects={**ROBOT.effects, 'hinge_friction': before})
-    made = add_effects(measured(robot, {'hinge_friction': {'lever': 3e-4}}), ['hinge_friction'])
+    made = add_effect(measured(robot, {'hinge_friction': {'lever': 3e-4}}), ['hinge_friction'])
     assert made.robot.effects['hinge_friction']['lever'] == pytest.approx(3e-4, rel=0.1)
     assert made.robot.fitted['hinge_friction']['replaces'] == before
     robot, back = restore(made.robot, 'hinge_friction')
@@ -203,7 +203,7 @@ def test_an_effect_that_is_there_gets_new_values_and_its_old_ones_back():
 
 def test_two_effects_are_added_together():
     hidden = HINGES | {'pre_curvature': {'angle_x': 0.01, 'angle_y': 0.0}}
-    made = add_effects(measured(ROBOT, hidden), ['hinge_friction', 'pre_curvature'])
+    made = add_effect(measured(ROBOT, hidden), ['hinge_friction', 'pre_curvature'])
     assert list(made.values) == ['hinge_friction', 'pre_curvature']
     assert made.check.gone > 0.95
     assert made.robot.fitted['hinge_friction']['together_with'] == ['pre_curvature']
@@ -212,7 +212,7 @@ def test_two_effects_are_added_together():
 def test_a_value_per_section_goes_into_the_file_as_such():
     robot = simulated.robot('kato_10_1')
     hidden = {'section_stiffness': {'relative_change': (0.2, -0.1)}}
-    made = add_effects(measured(robot, hidden), ['section_stiffness'])
+    made = add_effect(measured(robot, hidden), ['section_stiffness'])
     changes = made.robot.effects['section_stiffness']['relative_change']
     assert changes == pytest.approx((0.2, -0.1), abs=0.03)
     assert list(made.values['section_stiffness']) == [
@@ -222,12 +222,12 @@ def test_a_value_per_section_goes_into_the_file_as_such():
 
 def test_tolerances_are_reported_and_widen_the_interval():
     robot = replace(ROBOT, tolerances={'bending_stiffness': 0.05})
-    made = add_effects(measured(robot, HINGES), ['hinge_friction'])
+    made = add_effect(measured(robot, HINGES), ['hinge_friction'])
     assert set(made.moved) == {'bending_stiffness'}
     assert abs(made.moved['bending_stiffness']) < 2.0
     assert made.robot.fitted['hinge_friction']['tolerances_moved'].keys() == made.moved.keys()
     value = made.values['hinge_friction']['lever']
-    exact = add_effects(measured(ROBOT, HINGES), ['hinge_friction']).values['hinge_friction']
+    exact = add_effect(measured(ROBOT, HINGES), ['hinge_friction']).values['hinge_friction']
     assert value.high - value.low > exact['lever'].high - exact['lever'].low
 
 
@@ -236,7 +236,7 @@ def test_tolerances_that_moved_are_written_where_the_prediction_needs_them(tmp_p
     robot = replace(ROBOT, tolerances={'bending_stiffness': 0.05})
     hidden = HINGES | {'backbone_stiffness': {'relative_change': 0.08}}
     dataset, check = (measured(robot, hidden, seed=seed, which=seed) for seed in (0, 1))
-    made = add_effects(dataset, ['hinge_friction'], check=check)
+    made = add_effect(dataset, ['hinge_friction'], check=check)
     (tmp_path / 'new.yaml').write_text(dump_robot(made.robot), encoding='utf-8')
     again = load_robot(tmp_path / 'new.yaml')
     assert list(made.values) == ['hinge_friction']
@@ -245,7 +245,7 @@ def test_tolerances_that_moved_are_written_where_the_prediction_needs_them(tmp_p
     for data, errors in ((dataset, made.fitted), (check, made.check)):
         assert compare(data, [('new', again)]).models[-1].rms == pytest.approx(errors.after)
         assert errors.after < 1.2 * errors.floor
-    left_out = add_effects(dataset, ['hinge_friction']).check
+    left_out = add_effect(dataset, ['hinge_friction']).check
     assert left_out.after == pytest.approx(made.check.after, rel=0.2)
 
 
@@ -253,7 +253,7 @@ def test_gravity_goes_into_a_file_that_did_not_know_where_down_is():
     robot = simulated.robot(gravity=None)
     dataset = measured(simulated.robot(gravity=(9.81, 0.0, 0.0)), {'gravity': {
         'linear_density': 0.05}})  # fmt: skip
-    made = add_effects(replace(dataset, robot=robot), ['gravity'])
+    made = add_effect(replace(dataset, robot=robot), ['gravity'])
     assert made.robot.gravity == (9.81, 0.0, 0.0)
     assert made.check.gone > 0.95
 
@@ -261,12 +261,12 @@ def test_gravity_goes_into_a_file_that_did_not_know_where_down_is():
 def test_what_remains_widens_the_intervals_and_is_said():
     robot = replace(ROBOT, exact=True)  # else the soft cell is found, and nothing remains
     dataset = replace(measured(soft_cell(ROBOT, 10, 0.6)), robot=robot)
-    made = add_effects(dataset, ['backbone_stiffness'])
+    made = add_effect(dataset, ['backbone_stiffness'])
     assert made.probability < 1e-6
     assert made.more_at_work.startswith('more is at work than these effects: what is left')
     assert made.robot.fitted['backbone_stiffness']['more_at_work'] == made.more_at_work
     value = made.values['backbone_stiffness']['relative_change']
-    clean = add_effects(
+    clean = add_effect(
         measured(robot, {'backbone_stiffness': {'relative_change': -0.02}}), ['backbone_stiffness']
     )
     exact = clean.values['backbone_stiffness']['relative_change']
@@ -282,7 +282,7 @@ def test_what_remains_widens_the_intervals_and_is_said():
 def test_what_the_postures_do_not_show_is_refused(name, reason):
     robot = simulated.robot(lacks=('tendon_travel',))
     with pytest.raises(InputError) as error:
-        add_effects(measured(robot, count=4), [name])
+        add_effect(measured(robot, count=4), [name])
     assert str(error.value) == (
         f'{name}: these measurements cannot tell its value ({reason}); nothing was written'
     )
@@ -290,13 +290,13 @@ def test_what_the_postures_do_not_show_is_refused(name, reason):
 
 def test_an_unknown_effect_is_refused_with_the_known_ones():
     with pytest.raises(EffectError, match="unknown effect 'hinge_fiction'; known: tendon_fric"):
-        add_effects(measured(ROBOT, count=2), ['hinge_fiction'])
+        add_effect(measured(ROBOT, count=2), ['hinge_fiction'])
 
 
 def test_without_any_noise_to_weigh_by_nothing_is_added():
     dataset = replace(measured(ROBOT, trials=1), position_noise=None)
     with pytest.raises(InputError, match='one trial per posture and no position_noise'):
-        add_effects(dataset, ['hinge_friction'])
+        add_effect(dataset, ['hinge_friction'])
 
 
 def test_stretching_tendons_are_added_to_wire_pulls():
@@ -305,7 +305,7 @@ def test_stretching_tendons_are_added_to_wire_pulls():
     steady = {'input': 'displacement', 'noise': replace(NOISE, setting=0.0, trial=0.0)}
     fit, check = (measured(robot, hidden, count=n, which=w, seed=w, **steady)
                   for n, w in ((8, 0), (6, 1)))  # fmt: skip
-    made = add_effects(fit, ['tendon_elongation'], check=check)
+    made = add_effect(fit, ['tendon_elongation'], check=check)
     assert made.values['tendon_elongation']['compliance'].value == pytest.approx(2e-3, rel=0.15)
     assert made.check.gone > 0.9
 
@@ -314,13 +314,13 @@ def test_a_declared_accuracy_weighs_where_the_effects_are_not_the_whole_story():
     """What is left is no noise: neither the error on postures left out nor the file gets worse."""
     hidden = HINGES | {'pre_curvature': {'angle_x': 0.0, 'angle_y': 0.02}}
     dataset = measured(ROBOT, hidden)
-    alone = add_effects(dataset, ['hinge_friction'])
-    weighed = add_effects(replace(dataset, accuracy=2e-3), ['hinge_friction'])
+    alone = add_effect(dataset, ['hinge_friction'])
+    weighed = add_effect(replace(dataset, accuracy=2e-3), ['hinge_friction'])
     assert alone.more_at_work and weighed.more_at_work and alone.accuracy is None
     assert weighed.check.after <= alone.check.after
     if weighed.accuracy is not None:
         assert weighed.robot.fitted['hinge_friction']['weighed_by_accuracy'] == 2e-3
-    right = add_effects(replace(measured(ROBOT, HINGES), accuracy=2e-3), ['hinge_friction'])
+    right = add_effect(replace(measured(ROBOT, HINGES), accuracy=2e-3), ['hinge_friction'])
     assert right.accuracy is None and right.probability == pytest.approx(
-        add_effects(measured(ROBOT, HINGES), ['hinge_friction']).probability
+        add_effect(measured(ROBOT, HINGES), ['hinge_friction']).probability
     )

@@ -8,7 +8,7 @@ import simulated
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros import improve
-from tendon_robot_ros.diagnosis.add import add_effects
+from tendon_robot_ros.diagnosis.add import add_effect
 from tendon_robot_ros.diagnosis.improve import as_found
 from tendon_robot_ros.diagnosis.result import AS_FOUND, total
 from tendon_robot_ros.diagnosis.stepwise import State, Stepwise
@@ -51,7 +51,7 @@ def found(search):
 
 def test_values_and_intervals_are_near_those_of_add(search, found):
     """It searched with other weights; what data tell of a value is much the same."""
-    added = add_effects(search.dataset, ['hinge_friction'], ROBOT).values
+    added = add_effect(search.dataset, ['hinge_friction'], ROBOT).values
     there, own = added['hinge_friction']['lever'], found.values['hinge_friction']['lever']
     half = 0.5 * (there.high - there.low)
     assert abs(own.value - there.value) < 0.2 * half

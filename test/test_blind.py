@@ -8,7 +8,7 @@ from measurements import LETTERS, blind, truth
 from simulated import CATALOGUE, measured
 
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.diagnosis.add import add_effects
+from tendon_robot_ros.diagnosis.add import add_effect
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.robot.estimates import natural_sizes
 
@@ -30,7 +30,7 @@ def test_a_blind_case_gets_the_right_verdict(letter):
         assert found.verdict == 'outside_catalogue'
     else:
         assert right
-        made = add_effects(fit, found.effects, check=check)
+        made = add_effect(fit, found.effects, check=check)
         assert made.check.gone is None or made.check.gone >= 0.9
 
 

@@ -13,7 +13,7 @@ from tendon_robot_ros.common.errors import DataSetError, EffectError
 from tendon_robot_ros.comparison.compare import compare, equilibria
 from tendon_robot_ros.data import join, load_dataset, save_dataset
 from tendon_robot_ros.data.dataset import EarlierRecording, names_in
-from tendon_robot_ros.diagnosis.add import add_effects
+from tendon_robot_ros.diagnosis.add import add_effect
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.improve import improve
 from tendon_robot_ros.diagnosis.result import total
@@ -185,7 +185,7 @@ def test_what_is_set_anew_in_each_recording_is_no_error_of_a_description(robot, 
     once, better = improve(same), improve(again)
     assert total(better.chosen) < 1.3 * total(once.chosen)
     told = better.falling['fitted'][better.taken]
-    alone, added = (add_effects(sets, ['tendon_friction']) for sets in (same, again))
+    alone, added = (add_effect(sets, ['tendon_friction']) for sets in (same, again))
     for kind in ('fitted', 'check'):
         one, other = (getattr(addition, kind) for addition in (alone, added))
         assert other.after == pytest.approx(one.after, rel=0.1), kind
@@ -205,7 +205,7 @@ def test_a_known_load_gives_the_scale_of_forces():
         for seed, hidden in ((1, {}), (2, LOAD))
     ]
     both = join([replace(sets[0], name='a'), replace(sets[1], name='b', known=LOAD)])
-    made = add_effects(both, ['backbone_stiffness', 'wire_spring'])
+    made = add_effect(both, ['backbone_stiffness', 'wire_spring'])
     value = made.values['backbone_stiffness']['relative_change']
     assert value.low <= 0.3 <= value.high
     assert value.high - value.low < 0.2

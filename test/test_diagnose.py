@@ -16,7 +16,7 @@ from simulated import CATALOGUE, NOISE, measure, measured, postures
 
 from tendon_robot_ros.common.errors import NoEquilibriumError, TendonRobotError
 from tendon_robot_ros.data import load_dataset
-from tendon_robot_ros.diagnosis.add import add_effects
+from tendon_robot_ros.diagnosis.add import add_effect
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.diagnosis.select import gather
 from tendon_robot_ros.diagnosis.verdict import differs
@@ -174,7 +174,7 @@ def test_a_posture_without_an_equilibrium_is_left_out_and_named():
     assert (found.verdict, names(found)) == ('wrong_parameter', ['nonlinear_stiffness'])
     cubic = found.effects[0].parameters['cubic']
     assert cubic.low <= 0.0 <= cubic.high
-    assert add_effects(dataset, names(found)).helps
+    assert add_effect(dataset, names(found)).helps
     one_after_the_other = replace(dataset, path='sequence')
     with pytest.raises(NoEquilibriumError, match='posture 6 of simulated'):
         diagnose(one_after_the_other)

@@ -12,7 +12,7 @@ from tendon_robot_ros import Model, diagnose
 from tendon_robot_ros.cli.robot import description
 from tendon_robot_ros.common.errors import RobotDescriptionError
 from tendon_robot_ros.comparison.compare import compare
-from tendon_robot_ros.diagnosis.add import add_effects, restore
+from tendon_robot_ros.diagnosis.add import add_effect, restore
 from tendon_robot_ros.inference.crossval import model_error_of
 from tendon_robot_ros.inference.description import with_cells
 from tendon_robot_ros.inference.session import Question
@@ -48,7 +48,7 @@ def test_what_is_no_length_is_refused(text):
 
 def test_an_effect_that_is_not_all_is_added_with_the_error_that_stays():
     dataset = of(ROBOT, measured(UNEVEN, HINGES))
-    made = add_effects(dataset, ['hinge_friction'])
+    made = add_effect(dataset, ['hinge_friction'])
     assert made.more_at_work
     tips = compare(dataset, made.robot).best.per_marker_rms[-1]
     assert made.robot.model_error == pytest.approx(made.model_error, rel=1e-3)
@@ -59,7 +59,7 @@ def test_an_effect_that_is_not_all_is_added_with_the_error_that_stays():
 
 
 def test_an_effect_that_is_all_leaves_no_error():
-    made = add_effects(measured(ROBOT, HINGES), ['hinge_friction'])
+    made = add_effect(measured(ROBOT, HINGES), ['hinge_friction'])
     assert made.robot.model_error is None
     assert not made.more_at_work
 

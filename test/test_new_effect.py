@@ -10,7 +10,7 @@ import simulated
 from source_tree import ROOT
 
 from tendon_robot_ros import effects
-from tendon_robot_ros.diagnosis.add import add_effects
+from tendon_robot_ros.diagnosis.add import add_effect
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import catalogue as effects_catalogue
 from tendon_robot_ros.effects import load_catalogue
@@ -60,7 +60,7 @@ def test_the_diagnosis_names_it_and_the_reports_show_it(diagnosis):
 
 @pytest.mark.slow
 def test_it_is_added_with_its_interval(dataset, diagnosis, catalogue):
-    made = add_effects(dataset, diagnosis.effects, None, catalogue)
+    made = add_effect(dataset, diagnosis.effects, None, catalogue)
     loss = made.values[NAME]['loss']
     assert loss.low < 0.06 < loss.high
     assert made.robot.effects[NAME]['loss'] == pytest.approx(0.06, rel=0.1)

@@ -10,7 +10,7 @@ from source_tree import ROOT
 from tendon_robot_ros.cli.main import main
 from tendon_robot_ros.comparison.compare import compare
 from tendon_robot_ros.data import join, load_dataset
-from tendon_robot_ros.diagnosis.add import Addition, add_effects, fit_effects
+from tendon_robot_ros.diagnosis.add import Addition, add_effect, fit_effects
 from tendon_robot_ros.diagnosis.diagnose import diagnose
 from tendon_robot_ros.effects import load_catalogue
 from tendon_robot_ros.inference.crossval import Errors
@@ -67,16 +67,14 @@ def test_a_fit_that_makes_others_worse_is_not_written(tmp_path, monkeypatch, cap
     fitted = Errors('fitted', 'base', 9, 8e-3, 7e-3, 1e-3)
     worse = Errors('left out', 'base', 9, 8e-3, 8.1e-3, 1e-3)
     made = Addition(robot, {}, fitted, worse, 0.5)
-    monkeypatch.setattr(
-        'tendon_robot_ros.cli.diagnosis.add_effects', lambda *args, **options: made
-    )
+    monkeypatch.setattr('tendon_robot_ros.cli.diagnosis.add_effect', lambda *args, **options: made)
     new = tmp_path / 'new.yaml'
     assert main(['effect', 'add', 'gravity', '--data', str(data), '--output', str(new)]) == 2
     assert 'Nothing was written: the error on postures' in capsys.readouterr().out
     assert not new.exists()
     better = replace(made, check=replace(worse, after=7e-3))
     monkeypatch.setattr(
-        'tendon_robot_ros.cli.diagnosis.add_effects', lambda *args, **options: better
+        'tendon_robot_ros.cli.diagnosis.add_effect', lambda *args, **options: better
     )
     assert main(['effect', 'add', 'gravity', '--data', str(data), '--output', str(new)]) == 0
     assert new.exists()
@@ -119,7 +117,7 @@ def test_where_an_effect_led_the_arm_may_have_no_equilibrium_without_it():
 def test_from_the_trunk_without_a_load_the_unknown_weight_is_in_a_small_class(tmp_path):
     effects = 'wire_spring gravity pull_zero moment_arm base_misalignment axial_compression'
     base = load_dataset(TRUNK / 'base')
-    alone = add_effects(base, effects.split()).robot
+    alone = add_effect(base, effects.split()).robot
     assert diagnose(base, robot=alone).verdict == 'adequate'
     shutil.copytree(TRUNK, tmp_path / 'unknown')
     told = tmp_path / 'unknown' / 'payload_100' / 'dataset.yaml'

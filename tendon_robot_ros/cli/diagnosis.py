@@ -16,7 +16,7 @@ from ..common.errors import InputError
 from ..comparison.compare import compare
 from ..comparison.result import to_json
 from ..data import DataSet
-from ..diagnosis.add import Addition, add_effects, restore
+from ..diagnosis.add import Addition, add_effect, restore
 from ..diagnosis.diagnose import changed_since, diagnose
 from ..diagnosis.improve import improve
 from ..diagnosis.result import Diagnosis
@@ -155,7 +155,7 @@ class Diagnose:
             may_add = bool(effects) and (diagnosis.adds or (outside and args.partial))
             added = None
             if effects and (args.check or (args.add and may_add)):
-                added = add_effects(dataset, effects, None, catalogue, check, outside)
+                added = add_effect(dataset, effects, None, catalogue, check, outside)
         lines, content, robot = [diagnosis.text()], diagnosis.to_json(), None
         if added is not None:
             lines += [diagnosis_text.never_used(added), *diagnosis_text.addition_warnings(added)]
@@ -217,7 +217,7 @@ class Add:
         with options.progress() as show:
             dataset, check, catalogue = options.load_judged(args, show)
             show(f'fitting {" and ".join(args.effects)}', 0, 0)
-            addition = add_effects(dataset, args.effects, None, catalogue, check)
+            addition = add_effect(dataset, args.effects, None, catalogue, check)
         robot = addition.robot if addition.helps else None
         outcome = options.next_step(args.output) if robot else diagnosis_text.NOT_WRITTEN
         lines = [addition.text(), outcome]

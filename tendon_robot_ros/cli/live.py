@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 
 from ..common.errors import MissingExtraError
-from ..diagnosis.add import add_effects
+from ..diagnosis.add import add_effect
 from ..diagnosis.diagnose import diagnose
 from ..effects import load_catalogue
 from ..simulation.measurements import simulate
@@ -38,7 +38,7 @@ def run(args: argparse.Namespace, ros_arguments: Sequence[str]) -> int:
     story = Story(hidden, diagnosis.to_json())
     print(diagnosis.text())
     if diagnosis.adds:
-        addition = add_effects(fit, diagnosis.effects, None, catalogue, check)
+        addition = add_effect(fit, diagnosis.effects, None, catalogue, check)
         story.added = addition.helps
         story.before, story.after = addition.check.before, addition.check.after
     print(story.end())

@@ -156,16 +156,16 @@ def _short(value: float | None) -> float | None:
 
 
 @one_thread()
-def add_effects(
+def add_effect(
     dataset: DataSetLike,
-    effects: Sequence[str | EffectFinding],
+    name: str | EffectFinding | Sequence[str | EffectFinding],
     robot: RobotLike | None = None,
     catalogue: CatalogueLike | None = None,
     check: DataSetLike | None = None,
     partial: bool = False,
 ) -> Addition:
     """
-    Fit effects on a data set and write their values into a description.
+    Fit an effect, or several together, on a data set and write the values into a description.
 
     Declared tolerances take part in the fit and stay out of the description. Effects that the
     description lists already get new values.
@@ -174,15 +174,22 @@ def add_effects(
     ----------
     dataset : DataSet, path, or a list of these
         As `load_dataset` takes them.
-    effects : sequence of str or EffectFinding
-        By name, or as a diagnosis found them, with values to start from; fitted together.
+    name : str, EffectFinding, or a sequence of these
+        An effect of the catalogue, or what a diagnosis found, with values to start from:
+        `diagnosis.effects`.
     robot : Robot, name, path, text or dict, optional
         Default: the data set's.
     catalogue : Catalogue or paths, optional
+        With your own effects.
     check : DataSet or path, optional
         Other postures to judge by; default: groups of postures are left out in turn.
     partial : bool
         Something outside the catalogue is known to be at work, too.
+
+    Returns
+    -------
+    Addition
+        The new description is its `robot`.
 
     Raises
     ------
@@ -191,11 +198,10 @@ def add_effects(
     NoEquilibriumError
 
     """
-    if isinstance(effects, str) or not effects:
-        raise refusal('add', 'the names of effects', effects)
+    effects: Sequence[Any] = name if isinstance(name, list | tuple) else [name]
     names = [one.name if isinstance(one, EffectFinding) else one for one in effects]
-    if not all(isinstance(name, str) for name in names):
-        raise refusal('add', 'the names of effects', effects)
+    if not names or not all(isinstance(one, str) for one in names):
+        raise refusal('add', 'the names of effects', name)
     dataset = load_dataset(dataset, robot)
     described = dataset.robot
     other = None if check is None else load_dataset(check, described)
@@ -273,47 +279,6 @@ def settle(session: Session, names: Sequence[str], start: Point | None = None) -
     own = fit.probability(session.noise.freedom) if session.use_accuracy else probability
     scale = 1.0 if own > P_SINGLE_MIN else max(1.0, fit.chi2 / max(fit.freedom, 1))
     return Settled(session, fit, descriptions, probability, scale)
-
-
-def add_effect(
-    dataset: DataSetLike,
-    name: str | EffectFinding | Sequence[str | EffectFinding],
-    robot: RobotLike | None = None,
-    catalogue: CatalogueLike | None = None,
-    check: DataSetLike | None = None,
-    start: Sequence[EffectFinding] = (),
-    partial: bool = False,
-) -> Addition:
-    """
-    Fit an effect, or several together, on a data set and write the values into a description.
-
-    Parameters
-    ----------
-    dataset : DataSet, path, or a list of these
-        As `load_dataset` takes them.
-    name : str, EffectFinding, or a sequence of these
-        An effect of the catalogue, or what a diagnosis found: `diagnosis.effects`.
-    robot : Robot, name, path, text or dict, optional
-        Default: the data set's.
-    catalogue : Catalogue or paths, optional
-        With your own effects.
-    check : DataSet or path, optional
-        Other postures to judge by; default: groups of postures are left out in turn.
-    start : sequence of EffectFinding, optional
-        What a diagnosis found, to start from where an effect is given by its name.
-    partial : bool
-        Something outside the catalogue is known to be at work, too.
-
-    Returns
-    -------
-    Addition
-        The new description is its `robot`.
-
-    """
-    several: Sequence[Any] = name if isinstance(name, list | tuple) else [name]
-    found = {one.name: one for one in start}
-    effects = [found.get(one, one) if isinstance(one, str) else one for one in several]
-    return add_effects(dataset, effects, robot, catalogue, check, partial)
 
 
 def fit_effects(

@@ -20,7 +20,7 @@ from ..inference.fitter import BEST_FEW, FAILURES
 from ..inference.predict import FreeParameter
 from ..inference.session import NOISE_UNKNOWN, Question, Session
 from ..robot import RobotLike
-from .add import add_effects
+from .add import add_effect
 from .marker_hypotheses import exchanged
 from .next_measurement import propose
 from .report_rows import details_of, finding, fitted_errors, nearest, remainder_text, rows_of
@@ -157,7 +157,7 @@ def changed_since(
     old, lacked = earlier_of(datasets[0], reference), tuple[str, ...]()
     before = diagnose(old, None, catalogue, progress=progress)
     if before.adds:
-        added = add_effects(old, before.effects, None, catalogue)
+        added = add_effect(old, before.effects, None, catalogue)
         if added.helps:
             datasets = [replace(one, robot=added.robot) for one in datasets]
             lacked = tuple(effect.name for effect in before.effects)

@@ -23,7 +23,7 @@ from ..common.files import write_text
 from ..common.words import digits, listed
 from ..data import DataSet, save_dataset
 from ..data.bag_writer import export_bag
-from ..diagnosis.add import Addition, add_effects
+from ..diagnosis.add import Addition, add_effect
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, found_values
 from ..diagnosis.verdict import Verdict
@@ -291,7 +291,7 @@ class Investigation:
             return
         check = self.check = self.measure_fresh() if self.goal.checks else None
         names = [effect.name for effect in found.effects]
-        added = add_effects(self.dataset, found.effects, None, self.catalogue, check)
+        added = add_effect(self.dataset, found.effects, None, self.catalogue, check)
         before, after = added.check.before, added.check.after
         self.report(
             'added',

@@ -67,7 +67,7 @@ class DiagnosisProgress:
 def work(folder: Path, effects: Sequence[str]) -> None:
     """Diagnose, write the report, and prepare the description with the missing effects."""
     from ..data import load_dataset
-    from ..diagnosis.add import add_effects
+    from ..diagnosis.add import add_effect
     from ..diagnosis.diagnose import diagnose
     from ..effects import load_catalogue
     from ..report.diagnosis_page import candidate_row
@@ -88,7 +88,7 @@ def work(folder: Path, effects: Sequence[str]) -> None:
         send('progress', 'fitting what was found, with its intervals', part=1.0)
         names = [effect.name for effect in diagnosis.effects]
         partial = not diagnosis.adds
-        addition = add_effects(dataset, diagnosis.effects, None, catalogue, partial=partial)
+        addition = add_effect(dataset, diagnosis.effects, None, catalogue, partial=partial)
         write_text(folder / BETTER, dump_robot(addition.robot))
         check = addition.check
         send('addition', f'ready to add {listed(names)}', file=str(folder / BETTER), effects=names,

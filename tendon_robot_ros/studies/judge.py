@@ -16,7 +16,7 @@ import numpy as np
 
 from ..common.results import plain
 from ..common.words import grouped
-from ..diagnosis.add import add_effects
+from ..diagnosis.add import add_effect
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, found_values
 from ..diagnosis.trust import DETECTION_POWER, wilson
@@ -191,7 +191,7 @@ def diagnosed(case: Case, sim: Simulated) -> dict[str, Any]:
 def fitted(case: Case, sim: Simulated) -> dict[str, Any]:
     """Fit the hidden effect alone, to see whether its intervals hold the true values."""
     start = time.process_time()
-    added = add_effects(sim.fit, [case.hidden], None, sim.catalogue, sim.fit)
+    added = add_effect(sim.fit, [case.hidden], None, sim.catalogue, sim.fit)
     return {
         'verdict': 'fitted',
         'effects': (case.hidden,),
