@@ -291,11 +291,13 @@ def between_recordings(arm: BuiltPredictor, near: SettledShapes | None) -> Imper
     Return what several recordings differ in as set anew for each: zeros and the tracker's frame.
 
     Their mean belongs to the description, so that the slopes by a member are those of its
-    difference from the mean of all recordings; see `from_mean`. Of one recording there is nothing.
+    difference from the mean of all recordings; see `from_mean`. Of one recording, and of an exact
+    arm, there is nothing.
     None where the model has no equilibrium, which is looked for from `near`.
     """
     count, around = len(arm.dataset.divided), arm.around
-    kinds = tuple(kind for kind in arm.kinds() if count > 1 and kind.name in ANEW.values())
+    every = arm.kinds(every=False) if count > 1 else ()
+    kinds = tuple(kind for kind in every if kind.name in ANEW.values())
     if not kinds:
         return Imperfections.none(arm.dataset)
     if arm.markers({}, near=near) is None:

@@ -229,10 +229,10 @@ def as_built(report: Mapping[str, Any] | None) -> list[str]:
 def anew_lines(anew: Mapping[str, Any]) -> list[str]:
     """Say what was set anew in each of several recordings, by how much, and is no error."""
     sizes = [
-        f'{KIND_NAMES[kind]} ({amount(float(np.abs(own).max()), PLAUSIBLE_SIZES[kind][0])})'
+        f'{KIND_NAMES[kind]} (up to {amount(float(np.abs(own).max()), PLAUSIBLE_SIZES[kind][0])})'
         for kind, own in anew.items()
     ]
-    return [f'taken off the errors, as found (at most): {", ".join(sizes)}'] if sizes else []
+    return [f'taken off the errors, as found: {", ".join(sizes)}'] if sizes else []
 
 
 def excluded_lines(details: Mapping[str, Any]) -> list[str]:
