@@ -326,23 +326,29 @@ def moment_held(chain, past, i, bx, by):
 
 
 @compiled
-def unbalanced(chain, past, i, bx, by, mx, my):
-    """Moment (x, y) [N·m] by which a bend needs more than acts on the cell."""
+def needed_moment(chain, past, i, bx, by, total):
+    """Moment (x, y) [N·m] that a bend of cell i needs, whatever the sum of tensions, `total`."""
     ex, ey = elastic_moment(chain, i, bx, by)
     hx, hy = moment_held(chain, past, i, bx, by)
-    return ex + hx - mx, ey + hy - my
+    return ex + hx, ey + hy
 
 
 @compiled
-def bend_against(chain, past, i, mx, my):
+def unbalanced(chain, past, i, bx, by, mx, my):
+    """Moment (x, y) [N·m] by which a bend needs more than acts on the cell."""
+    x, y = needed_moment(chain, past, i, bx, by, 0.0)
+    return x - mx, y - my
+
+
+@compiled
+def bend_against(chain, past, i, mx, my, x, y):
     """
     Bend (x, y) of a cell whose hysteresis takes part of the moment on it.
 
-    By Broyden's method from the bend in the posture before, with slopes (xx, xy; yx, yy) of which
-    the first are the cell's stiffness; NaN where there is none.
+    By Broyden's method from a bend near it, with slopes (xx, xy; yx, yy) of which the first are
+    the cell's stiffness; NaN where there is none.
     """
     stiffness = cell_stiffness(chain, i)
-    x, y = floats(past.bend)[2 * i], floats(past.bend)[2 * i + 1]
     fx, fy = unbalanced(chain, past, i, x, y, mx, my)
     xx, yx, xy, yy = stiffness, 0.0, 0.0, stiffness
     for _ in range(60):
@@ -367,8 +373,8 @@ def bend_against(chain, past, i, mx, my):
 
 
 @compiled
-def bend_cell(chain, past, i, mx, my, total):
-    """Bend (x, y) of a cell under a moment [N·m] and the sum of tensions [N] that press it."""
+def acting_moment(chain, past, i, mx, my, total):
+    """Moment (x, y) [N·m] that bends a cell, of one on it, pressed by a sum of tensions [N]."""
     size = math.sqrt(mx * mx + my * my)
     if stages.moment_acts(chain) and size > 0.0:
         radius = chain.radius * stages.offset_scale(1.0, chain, 0)
@@ -384,8 +390,19 @@ def bend_cell(chain, past, i, mx, my, total):
         if size > 0.0:
             factor = stages.joint_friction(size, total, chain, i) / size
             mx, my = hx + dx * factor, hy + dy * factor
+    return mx, my
+
+
+@compiled
+def bend_cell(chain, past, i, mx, my, total, near_x, near_y):
+    """
+    Bend (x, y) of a cell under a moment [N·m] and the sum of tensions [N] that press it.
+
+    It is looked for from a bend near it.
+    """
+    mx, my = acting_moment(chain, past, i, mx, my, total)
     if stages.hysteresis_acts(chain):
-        return bend_against(chain, past, i, mx, my)
+        return bend_against(chain, past, i, mx, my, near_x, near_y)
     size = math.sqrt(mx * mx + my * my)
     x0, y0 = stages.rest(0.0, 0.0, chain, i)
     if size == 0.0:

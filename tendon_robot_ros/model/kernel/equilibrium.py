@@ -198,7 +198,7 @@ def cell_residual(chain, work, past, state, i, last_x, last_y, x, y):
     if stages.torsion_acts(chain):
         solve_twist(chain, work, state, i, x, y)
     mx, my, total = moment_on(chain, work, i, moment_arms, factor, layout.NO)
-    bx, by = bend_cell(chain, past, i, mx, my, total)
+    bx, by = bend_cell(chain, past, i, mx, my, total, x, y)
     return x - bx, y - by
 
 

@@ -12,6 +12,7 @@ from itertools import accumulate
 
 from . import layout, stages
 from .cells import (
+    acting_moment,
     arc_factor,
     axial_moment,
     bend_cell,
@@ -21,8 +22,8 @@ from .cells import (
     follows_shape,
     half_turn,
     is_general,
-    is_linear,
     leans,
+    needed_moment,
     twist_in,
     twist_of,
 )
@@ -338,51 +339,66 @@ def compression_slopes(chain, bend, work, i, total, tangent):
             put(slopes, PULLS, 1, scaled(rate, pull))
 
 
-@compiled
-def bend_slope(chain, past, i, moment, toward, x, y):
+@inlined
+def law_slope(law, chain, past, i, at, toward):
     """
-    Differentiate a cell's bend (x, y) along a step of what bends it.
+    Differentiate a moment (x, y) [N·m] on a cell along a step of what decides about it.
 
     Friction in a hinge and similar laws have kinks: over one a difference is the slope of neither
     side, and Newton stalls beside it. So the step narrows until both its halves agree.
 
     Parameters
     ----------
-    moment : tuple of float
-        Moment x and y [N·m] and sum of the tensions [N] on the cell.
-    toward : tuple of float
-        Step of them.
-    x, y : float
-        Bend there [rad].
+    law : function
+        `acting_moment` or `needed_moment`.
+    at, toward : tuple of float
+        Moment x and y [N·m] or bend x and y [rad], and sum of the tensions [N]; step of them.
 
     """
+    x, y = law(chain, past, i, *at)
     ax, ay, bx, by, width = x, y, x, y, 1.0
     for zoom in NARROWINGS:
-        up, down = plus(moment, scaled(zoom, toward)), plus(moment, scaled(-zoom, toward))
-        ax, ay = bend_cell(chain, past, i, *up)
-        bx, by = bend_cell(chain, past, i, *down)
+        ax, ay = law(chain, past, i, *plus(at, scaled(zoom, toward)))
+        bx, by = law(chain, past, i, *plus(at, scaled(-zoom, toward)))
         width = zoom
         uneven = abs(ax + bx - 2.0 * x) + abs(ay + by - 2.0 * y)
         # curvature makes 1e-3, a kink 1
         if not uneven > layout.SAME_SIGN * (abs(ax - bx) + abs(ay - by)):
             break
-    return (ax - bx) / width, (ay - by) / width
+    return 0.5 * (ax - bx) / width, 0.5 * (ay - by) / width
 
 
 @compiled
-def compliances(chain, past, i, mx, my, total):
-    """Differentiate a cell's bend (x, y) by moment x and y [rad/(N·m)] and tension [rad/N]."""
-    stiffness = cell_stiffness(chain, i)
-    if is_linear(chain):
-        return 1.0 / stiffness, 0.0, 0.0, 1.0 / stiffness, 0.0, 0.0
-    h, ht = layout.DIFFERENCE_STEP * stiffness, layout.DIFFERENCE_STEP * (1.0 + total)
-    moment = (mx, my, total)
-    x, y = bend_cell(chain, past, i, mx, my, total)
-    a, b = bend_slope(chain, past, i, moment, (h, 0.0, 0.0), x, y)
-    c, d = bend_slope(chain, past, i, moment, (0.0, h, 0.0), x, y)
-    e, f = bend_slope(chain, past, i, moment, (0.0, 0.0, ht), x, y)
-    h, ht = 0.5 / h, 0.5 / ht
-    return a * h, b * h, c * h, d * h, e * ht, f * ht
+def compliances(chain, past, i, moment, x, y):
+    """
+    Differentiate a cell's bend by moment x and y [rad/(N·m)] and tension [rad/N], x and y of each.
+
+    Parameters
+    ----------
+    moment : tuple of float
+        Moment x and y [N·m] and sum of the tensions [N] on the cell.
+    x, y : float
+        Bend near that of the cell [rad].
+
+    """
+    stiffness, h = cell_stiffness(chain, i), layout.DIFFERENCE_STEP
+    a, b, c, d = 1.0 / stiffness, 0.0, 0.0, 1.0 / stiffness
+    if stages.stiffening_acts(chain) or stages.hysteresis_acts(chain):
+        x, y = bend_cell(chain, past, i, *moment, x, y)
+        at = (x, y, moment[2])
+        xx, yx = law_slope(needed_moment, chain, past, i, at, (h, 0.0, 0.0))
+        xy, yy = law_slope(needed_moment, chain, past, i, at, (0.0, h, 0.0))
+        over = h / (xx * yy - xy * yx)
+        a, b, c, d = over * yy, -over * yx, -over * xy, over * xx
+    if not (stages.moment_acts(chain) or stages.joint_friction_acts(chain)):
+        return a, b, c, d, 0.0, 0.0
+    hm, ht = h * stiffness, h * (1.0 + moment[2])
+    xx, yx = law_slope(acting_moment, chain, past, i, moment, (hm, 0.0, 0.0))
+    xy, yy = law_slope(acting_moment, chain, past, i, moment, (0.0, hm, 0.0))
+    xt, yt = law_slope(acting_moment, chain, past, i, moment, (0.0, 0.0, ht))
+    e, f = (a * xt + c * yt) / ht, (b * xt + d * yt) / ht
+    xx, xy, yx, yy = xx / hm, xy / hm, yx / hm, yy / hm
+    return a * xx + c * yx, b * xx + d * yx, a * xy + c * yy, b * xy + d * yy, e, f
 
 
 @inlined
@@ -545,7 +561,7 @@ def cell_slopes(chain, bend, work, past, i, moment_arms, scale, tangent):
         moment_slopes(chain, work, i, x, y, 0.0, factor, tangent, straight_tendon)
     if loads:
         chain.load_slopes(chain, bend, work, i, tangent, total)
-    a, b, c, d, e, f = compliances(chain, past, i, mx, my, total)
+    a, b, c, d, e, f = compliances(chain, past, i, (mx, my, total), x, y)
     for q in range(ACROSS if loads else 3):
         u, v = row[q], row[ACROSS + q]
         row[q], row[ACROSS + q] = -(a * u + c * v), -(b * u + d * v)

@@ -303,11 +303,12 @@ def step(chain, inputs, guess, work, past, out):
         load_x, load_y = 0.0, 0.0
         if loads:  # else the scratch may still hold those of another model
             load_x, load_y = load[2 * i], load[2 * i + 1]
+        last_x, last_y = guesses[2 * i], guesses[2 * i + 1]
         if linear:
             bx, by = bend_linear(chain, work, i, mx, my, load_x, load_y, scale)
         else:
-            bx, by = bend_cell(chain, past, i, scale * mx + load_x, scale * my + load_y, total)
-        last_x, last_y = guesses[2 * i], guesses[2 * i + 1]
+            x, y = scale * mx + load_x, scale * my + load_y
+            bx, by = bend_cell(chain, past, i, x, y, total, last_x, last_y)
         bends[2 * i], bends[2 * i + 1] = bx, by
         s, c = half_turn(bx * bx + by * by)
         if i + 1 < chain.n:
@@ -401,9 +402,9 @@ def balance(chain, inputs, bend, work, past, out):
         place_loads(chain, bend, work, past)
     for i in range(chain.n):
         mx, my, total = moment_on(chain, work, i, moment_arms, scale, loads)
-        bx, by = bend_cell(chain, past, i, mx, my, total)
-        f[2 * i] = bends[2 * i] - bx
-        f[2 * i + 1] = bends[2 * i + 1] - by
+        x, y = bends[2 * i], bends[2 * i + 1]
+        bx, by = bend_cell(chain, past, i, mx, my, total, x, y)
+        f[2 * i], f[2 * i + 1] = x - bx, y - by
     if stages.torsion_acts(chain):
         for j in range(chain.n):
             about = axial_moment_on(chain, work, j, loads)
