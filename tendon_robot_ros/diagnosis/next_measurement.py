@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
@@ -21,6 +22,7 @@ from ..workspace.postures import default_postures
 from .result import NextMeasurement
 
 GRID_POSTURES_MAX = 400  # [1] of the grid, because each is solved for every effect and parameter
+SLOW_POSTURES_MAX = 40  # [1] of pulls, or where friction remembers, because that takes longer
 UNKNOWN = 1e6  # [SI²] variance of what a fit does not determine, because no parameter is as large
 
 
@@ -49,14 +51,16 @@ def _conditions(
 ) -> Iterator[tuple[Floats, Floats | None, Floats | None]]:
     """Yield the grid of inputs, gravity where it is another, and a posture to come from."""
     if session.dataset.input == 'displacement':
-        pulls = default_postures(session.robot, GRID_POSTURES_MAX // 10, 1, 'displacement')
-        yield pulls, None, None
+        yield default_postures(session.robot, SLOW_POSTURES_MAX, 1, 'displacement'), None, None
         return
     grid = input_grid(session.dataset, session.robot.tension_limits)
     if not len(grid):  # those used are at the limits already
         return
-    yield grid, None, None
     names = {name for r in group for name in r.candidate.names}
+    stages = {session.catalogue[name].stage for name in {*names, *session.robot.effects}}
+    if 'memory' in stages:
+        grid = grid[:: math.ceil(len(grid) / SLOW_POSTURES_MAX)]
+    yield grid, None, None
     gravity = np.array(session.predictor.robot.gravity or (0.0, 0.0, 0.0))
     if names & session.catalogue.needing('gravity') and np.linalg.norm(gravity) > 0.0:
         yield grid, 0.0 - gravity, None
