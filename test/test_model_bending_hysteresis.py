@@ -25,6 +25,9 @@ FRICTION = {'tendon_friction': {'friction_coefficient': 0.3}, 'tendon_travel': {
 # soft, and so near that all cells touch it in all postures
 WALL = {'contact': {'stiffness': 0.3, 'distance': -0.05, 'azimuth': 3.0}}
 WALL['contact']['friction_coefficient'] = 0.2
+REMEMBERED = {'tendon_friction': {'friction_coefficient': 0.3}}
+REMEMBERED['friction_memory'] = {'presliding_length': 1e-3}
+PATHS = 'tensions', 'pulls', 'tensions, friction that remembers'
 LAW = load_catalogue()['bending_hysteresis'].law
 
 
@@ -79,10 +82,14 @@ def test_a_shape_that_follows_another_is_that_of_the_sequence(robot, friction):
     assert np.allclose(pulled.pulls, shapes.pulls, rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize('by_pulls', [False, True], ids=['tensions', 'pulls'])
+@pytest.mark.parametrize(
+    ('by_pulls', 'friction'), [(False, {}), (True, {}), (False, REMEMBERED)], ids=PATHS
+)
 @pytest.mark.parametrize('robot', [two_sections(4), spatial(3)])
-def test_derivatives_along_a_path_are_those_of_differences(robot, by_pulls):
+def test_derivatives_along_a_path_are_those_of_differences(robot, by_pulls, friction):
+    """Friction that remembers follows the tensions between the postures, too."""
     effects = HELD | {'wire_spring': {'compliance': 1e-3}, 'tip_load': {'force_x': 0.01}, **WALL}
+    effects |= friction
     model = Model(replace(robot, effects=effects))
     tensions = np.random.default_rng(5).uniform(0.1, 1.0, (8, len(robot.inputs)))
     base = model.sequence(tensions)
@@ -99,6 +106,9 @@ def test_derivatives_along_a_path_are_those_of_differences(robot, by_pulls):
     moved = [('bending_hysteresis', 'lag', 1e-5), ('bending_hysteresis', 'presliding', 1e-3)]
     moved += [('contact', 'friction_coefficient', 1e-4), ('contact', 'distance', 1e-8)]
     moved += [('backbone_stiffness', 'relative_change', 1e-4), ('tip_load', 'force_y', 1e-6)]
+    moved += [
+        (name, key, 1e-3 * size) for name, own in friction.items() for key, size in own.items()
+    ]
     for error, size in misses(model, moved, lambda: path(commanded), solved):
         assert error < 1e-3 * size + 1e-9
 

@@ -384,7 +384,7 @@ def _differences(
     near, at = arm.settled, arm.around
     assert near is not None
     predict: Callable[[], Floats | None] = partial(arm.markers, point, near=near)
-    if not arm.model.friction_remembers:
+    if arm.can_follow:
         along = arm.along_path(point, near)
 
         def predict() -> Floats:

@@ -269,14 +269,15 @@ class Predictor:
         Return the derivatives of equilibria by freed parameters, without solving again.
 
         By the implicit function theorem (`model.derivatives.follow`); where wire pulls are
-        commanded, tensions answer so that taut wires keep theirs. None where friction remembers:
-        only further solutions show it.
+        commanded, tensions answer so that taut wires keep theirs. None where only further
+        solutions show them; see `can_follow`.
         """
         catalogue = self.model.catalogue
         stages = {catalogue[free.effect].stage for free in frees if free.effect in catalogue}
-        if 'memory' in stages or self.model.friction_remembers:
+        if not self.can_follow:
             return None
-        if self.carries or (stages & PATH_STAGES and self.dataset.path != 'from_straight'):
+        remembers = self.carries or self.model.friction_remembers
+        if remembers or (stages & PATH_STAGES and self.dataset.path != 'from_straight'):
             return self._path_tangent(point, frees, settled)
 
         def moves(part: Conditions) -> list[Move]:
@@ -337,6 +338,11 @@ class Predictor:
         """Whether the model remembers, its transmission where wire pulls are commanded."""
         by_pulls = self.dataset.input == 'displacement'
         return self.model.remembers or (by_pulls and self.model.transmission_remembers)
+
+    @property
+    def can_follow(self) -> bool:
+        """Whether `along_path` can: not friction that remembers, where pulls are commanded."""
+        return self.dataset.input == 'tension' or not self.model.friction_remembers
 
     def has_slopes(self, effect: Effect) -> bool:
         """Whether derivatives show an effect that is absent; else only further solutions do."""
@@ -399,7 +405,8 @@ class Predictor:
             return self.visits.among(part.rows)
         rows, names = np.arange(len(part.rows)), self.dataset.postures
         commands = tuple(names[row] for row in part.rows.tolist())
-        return Visits(commands, rows, rows == 0, self._shown[part.rows], rows)
+        fresh = (rows == 0) | (self.dataset.path == 'from_straight')
+        return Visits(commands, rows, fresh, self._shown[part.rows], rows)
 
     def _path_tangent(
         self, point: Point, frees: Sequence[FreeParameter], settled: SettledShapes

@@ -36,6 +36,9 @@ BEND_TOLERANCE = 1e-10
 # way too: a longer one would err by as much as low tensions weigh in a search. Measured: with 6e-6
 # N those of a robot a fifth as large are others by up to 10 %
 LEAST_TENSION_N = 1e-6
+# [1] parts of a path at most. Measured at 288 postures of kato_10_1, spatial_3 and spatial_6: nine
+# of ten tips are within 7.4 µm of those of 1024 parts; with 64, in three quarters of the time, 180
+PARTS = 256
 # [m] gap of a wire that ends a search, because friction near rest changes sign within 2e-6
 GAP_ACCEPTED_M = 5e-6
 KERNEL = Path(__file__).parent / 'kernel'

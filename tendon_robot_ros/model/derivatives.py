@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ..common.arrays import Floats
 from ..common.errors import InputError
 from ..effects import Parameter
-from .compile import LEAST_TENSION_N
+from .compile import LEAST_TENSION_N, PARTS
 from .pulls import transmitted
 from .shape import EPSILON, Shape, ShapeBatch
 
@@ -149,9 +149,10 @@ def path_near(
     Return a function that gives the shapes (b) of a sequence from straight, to first order.
 
     For a model that is a little other than now: by a step of Newton at every posture, each after
-    the memory that the step before leaves. For arms whose bends remember; friction that remembers
-    follows the tensions between the postures, too. The function takes tensions (b, m) [N], or wire
-    pulls [m] where the motors hold these; NaN: a slack wire.
+    the memory that the step before leaves. Friction that remembers follows the tensions between
+    the postures, too: there the parts of that way count as postures, for commanded tensions only.
+    The function takes tensions (b, m) [N], or wire pulls [m] where the motors hold these; NaN: a
+    slack wire.
 
     Parameters
     ----------
@@ -163,20 +164,34 @@ def path_near(
     """
     model.arrays.link()
     (b, m), u, address = inputs.shape, model.arrays.unknowns, model.arrays.address
-    inputs, states = np.ascontiguousarray(inputs), np.ascontiguousarray(states)
-    answers, by_tension = np.empty((b, u, u)), np.empty((b, m, u))
-    pulls = np.empty((b, m, m))
+    ends = np.zeros((b, PARTS), dtype=np.int64)
+    ends[:, -1] = 1
+    if model.friction_remembers:
+        way, past = np.ascontiguousarray(inputs), model.arrays.fresh_memory()
+        model.arrays.part('shape').parts(address, way, past, model.scratch, ends)
+    posture, part_of = np.nonzero(ends)
+    share, last = (1.0 + part_of[:, None]) / PARTS, part_of == PARTS - 1
+
+    def along(values: Floats) -> Floats:
+        """Return values (b, q) at the ends of all parts, from zero before the first posture."""
+        before = np.concatenate([np.zeros_like(values[:1]), values[:-1]])[posture]
+        return np.asarray(before + share * (values[posture] - before))
+
+    inputs, states = along(inputs), along(states)
+    b = len(inputs)
+    answers, by_tension = np.empty((b, u, u)), np.empty((b if by_pulls else 0, m, u))
+    pulls = np.empty((len(by_tension), m, m))
     past, part = model.arrays.fresh_memory(), model.arrays.part('derivatives')
     part.path_slopes(address, inputs, states, past, model.scratch, answers, by_tension, pulls)
-    held = tensions_by_pulls(inputs, pulls) if by_pulls else np.zeros_like(pulls)
+    held = tensions_by_pulls(inputs, pulls) if by_pulls else pulls
 
     def shapes(commanded: Floats) -> ShapeBatch:
         past = model.arrays.fresh_memory()
-        moved = (inputs if by_pulls else np.ascontiguousarray(commanded)).copy(), states.copy()
-        passed = transmitted(model, commanded, past) if by_pulls else commanded
+        moved = inputs.copy() if by_pulls else along(commanded), states.copy()
+        passed = transmitted(model, commanded, past) if by_pulls else moved[0]
         slopes = answers, by_tension, held
         part.path_steps(address, *moved, np.nan_to_num(passed), past, model.scratch, *slopes)
-        return shown(model, *moved, carry=True)
+        return shown(model, *moved, carry=True).of(last)
 
     return shapes
 

@@ -29,7 +29,7 @@ from .layout import (
     words,
 )
 from .linearisation import TRAVEL_STEP
-from .shape import place, remember, remember_bends, wire_pulls, work_in, workspace
+from .shape import place, remember, settle_near, wire_pulls, work_in, workspace
 from .sweep import is_implicit
 
 AHEAD_RAD = layout.DIFFERENCE_STEP  # [rad] step of a state that shows to which side eyelets slide
@@ -263,7 +263,7 @@ def path_slopes(robot, inputs, states, past, scratch, answers, by_tension, pulls
     robot : int
         Address of a Chain.
     inputs, states : ndarray, shapes (b, m) and (b, 3n)
-        Equilibria [N], [rad].
+        Equilibria [N], [rad]; where friction remembers states near them, which become these.
     past : ndarray
         Memory before the first; moves on.
     scratch : int
@@ -271,7 +271,8 @@ def path_slopes(robot, inputs, states, past, scratch, answers, by_tension, pulls
     answers, by_tension : ndarray, shapes (b, u, u) and (b, m, u)
         Take the derivatives of the state by its residual [1] and by the tensions [rad/N].
     pulls : ndarray, shape (b, m, m)
-        Takes the derivatives of the wire pulls by the tensions [m/N].
+        Takes the derivatives of the wire pulls by the tensions [m/N]. With none of them (0, m, m)
+        the latter are not asked for.
 
     """
     chain = chain_at(robot)
@@ -280,12 +281,16 @@ def path_slopes(robot, inputs, states, past, scratch, answers, by_tension, pulls
     solver, unit, f = workspace(chain, bends, past, scratch), np.eye(size), np.empty(size)
     for b in range(inputs.shape[0]):
         tension = address(inputs) + 8 * m * b
-        copy(address(states) + 24 * chain.n * b, solver.bend, size)
-        pull_rates(chain, tension, solver, by_tension[b], pulls[b])
+        bend = address(states) + 24 * chain.n * b
+        if stages.memory_acts(chain):  # within a path the state is a guess
+            settle_near(chain, tension, solver.work, solver.past, bend, solver.before)
+        copy(bend, solver.bend, size)
+        if pulls.shape[0] > 0:
+            pull_rates(chain, tension, solver, by_tension[b], pulls[b])
         chain.residual(chain, tension, solver.bend, solver.work, solver.past, address(f))
         rows = address(answers) + 8 * size * size * b
         chain.respond(chain, solver.bend, address(unit), size, solver.work, solver.past, rows, 0)
-        remember_bends(chain, tension, solver.bend, solver.work, solver.past, solver.now)
+        remember(chain, tension, solver.bend, solver.work, solver.past, solver.now)
         copy(solver.now.bend, solver.past.bend, memory_size(chain.n, chain.k, m))
     keep(bends, unit, f)
 
@@ -310,7 +315,7 @@ def path_steps(robot, inputs, states, pulls, past, scratch, answers, by_tension,
     answers, by_tension : ndarray, shapes (b, u, u) and (b, m, u)
         See `path_slopes`, of the equilibria before they move.
     held : ndarray, shape (b, m, m)
-        Tensions by wire pulls [N/m] that the motors hold; zero where they hold tensions.
+        Tensions by wire pulls [N/m] that the motors hold; (0, m, m) where they hold tensions.
 
     """
     chain = chain_at(robot)
@@ -323,7 +328,7 @@ def path_steps(robot, inputs, states, pulls, past, scratch, answers, by_tension,
         for r in range(size):
             for q in range(size):
                 states[b, r] += f[q] * answers[b, q, r]
-        if held[b].any():
+        if held.shape[0] > 0:
             means = input_pulls(chain, tension, bend, solver)
             assign(before, inputs[b])
             for j in range(m):
@@ -331,7 +336,7 @@ def path_steps(robot, inputs, states, pulls, past, scratch, answers, by_tension,
                     inputs[b, j] += held[b, j, r] * (pulls[b, r] - means[r])
                 for q in range(size):
                     states[b, q] += (inputs[b, j] - before[j]) * by_tension[b, j, q]
-        remember_bends(chain, tension, bend, work, then, solver.now)
+        remember(chain, tension, bend, work, then, solver.now)
         copy(solver.now.bend, then.bend, memory_size(chain.n, chain.k, m))
     keep(f, bends)
 

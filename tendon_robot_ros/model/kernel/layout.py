@@ -24,6 +24,7 @@ from tendon_robot_ros.model.compile import BEND_TOLERANCE as BEND_TOLERANCE
 from tendon_robot_ros.model.compile import GAP_ACCEPTED_M as GAP_ACCEPTED_M
 from tendon_robot_ros.model.compile import LEAST_TENSION_N as LEAST_TENSION_N
 from tendon_robot_ros.model.compile import MODULES
+from tendon_robot_ros.model.compile import PARTS as PARTS
 
 from .linking import EntryCompiler, PartCompiler, record_type
 
@@ -169,7 +170,7 @@ CALLED = {
     'leaning_travel': types.void(CHAIN, WORD, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT, WORK),
     'leaning_slopes': types.void(CHAIN, WORK, WORD, FLOAT, FLOAT, FLOAT, FLOAT, WORD),
     'remembered': FLOAT(CHAIN, FLOAT, FLOAT, WORD),
-    'ramped': FLOAT(CHAIN, WORD, WORK, MEMORY, MEMORY, WORD, WORD),
+    'ramped': FLOAT(CHAIN, WORD, WORK, MEMORY, MEMORY, WORD, WORD, WORD),
 }
 CHAIN_KINDS |= {name: types.FunctionType(signature) for name, signature in CALLED.items()}
 

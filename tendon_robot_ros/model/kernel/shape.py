@@ -98,7 +98,7 @@ def posture(chain, inputs, work, past, now, bend, before):
 
     """
     if stages.memory_acts(chain):
-        return chain.ramped(chain, inputs, work, past, now, bend, before)
+        return chain.ramped(chain, inputs, work, past, now, bend, before, 0)
     change = settle(chain, inputs, work, past, bend)
     remember_bends(chain, inputs, bend, work, past, now)
     return change
@@ -267,7 +267,7 @@ def postures(robot, block, count, begin, end, past, scratch, carry, solves):
         else:
             chain.residual(chain, row[0], row[1], solving, then, before)
             if carry != 0:
-                remember_bends(chain, row[0], row[1], solving, then, now)
+                remember(chain, row[0], row[1], solving, then, now)
         floats(change_at)[0] = change
         if not change <= worst:
             worst = change
@@ -322,11 +322,6 @@ def measured(robot, points):
         points[p, 0], points[p, 1], points[p, 2] = x, y, z
 
 
-# [1] parts of a path at most. Measured at 288 postures of kato_10_1, spatial_3 and spatial_6: nine
-# of ten tips are within 7.4 µm of those of 1024 parts; with 64, in three quarters of the time, 180
-PARTS = 256
-
-
 @entry()
 def remembered(chain, sign, moved, i):
     """Direction of friction [1], from `sign` before a tendon moved [m]."""
@@ -337,6 +332,8 @@ def remembered(chain, sign, moved, i):
 def remember(chain, inputs, bend, work, past, now):
     """Fill the memory `now` after a posture that came after `past`, that of friction, too."""
     remember_bends(chain, inputs, bend, work, past, now)
+    if not stages.memory_acts(chain):
+        return
     tendon_travel(chain, bend, stages.offset_scale(1.0, chain, 0), work)
     slides = stages.friction_travel_acts(chain)
     if slides:
@@ -349,6 +346,25 @@ def remember(chain, inputs, bend, work, past, now):
             sign[at], travel[at] = slip_direction(
                 chain, work, past, at, i, travelled, 0.0, slides, layout.YES
             )
+
+
+@compiled
+def settle_near(chain, inputs, work, past, bend, before):
+    """
+    Find the equilibrium near the state in `bend`; return the last change [rad].
+
+    By Newton; for a planar arm sweeps are quicker, and under a heavy load stability has to be
+    checked. `before` is the address of scratch (u,).
+    """
+    change, heavy = math.inf, loaded(chain) and load_ratio(chain, work) > SAFE_LOAD
+    if is_implicit(chain) and not (heavy or is_planar(chain, floats(bend))):
+        copy(bend, before, unknowns(chain))
+        change = chain.newton(chain, inputs, bend, work, past)
+        if not change < layout.BEND_TOLERANCE:
+            copy(before, bend, unknowns(chain))
+    if not change < layout.BEND_TOLERANCE:
+        change = settle(chain, inputs, work, past, bend)
+    return change
 
 
 @compiled
@@ -377,26 +393,17 @@ def continue_path(chain, inputs, work, past, now, nodes, reached, bend, before, 
     """
     size, moved = nodes.shape[1], math.inf
     copy(address(nodes) + 8 * size * start, now.bend, size)
-    fraction, first, tensions = row / PARTS, floats(past.inputs), floats(now.inputs)
+    fraction, first, tensions = row / layout.PARTS, floats(past.inputs), floats(now.inputs)
     for j in range(chain.m):
         tensions[j] = (1.0 - fraction) * first[j] + fraction * floats(inputs)[j]
-    x, after = floats(bend), min(2 * row - start, PARTS)
+    x, after = floats(bend), min(2 * row - start, layout.PARTS)
     for q in range(unknowns(chain)):  # the node itself, the middle of its neighbours, or `start`
         x[q] = nodes[start, q]
         if reached[row] != 0:
             x[q] = nodes[row, q]
         elif reached[after] != 0:
             x[q] = 0.5 * (nodes[start, q] + nodes[after, q])
-    # Newton from a state that is near; for a planar arm sweeps are quicker, and under a heavy load
-    # stability has to be checked
-    change, heavy = math.inf, loaded(chain) and load_ratio(chain, work) > SAFE_LOAD
-    if is_implicit(chain) and not (heavy or is_planar(chain, x)):
-        copy(bend, before, unknowns(chain))
-        change = chain.newton(chain, now.inputs, bend, work, now)
-        if not change < layout.BEND_TOLERANCE:
-            copy(before, bend, unknowns(chain))
-    if not change < layout.BEND_TOLERANCE:
-        change = settle(chain, now.inputs, work, now, bend)
+    change = settle_near(chain, now.inputs, work, now, bend, before)
     if not change < layout.BEND_TOLERANCE:
         reached[row] = 0
         return change, moved
@@ -435,20 +442,21 @@ def sign_error(chain, nodes, at, middle, end):
 
 
 @entry()
-def ramped(chain, inputs, work, past, now, bend, before):
+def ramped(chain, inputs, work, past, now, bend, before, ends):
     """
     Solve a posture with friction memory, see `posture`.
 
     Tensions change in a straight line from the posture in `past`, in parts: each is halved until
     its halves lead to the same state as the whole and no travel changes sign unseen. The shortest
-    part may be a jump.
+    part may be a jump. `ends` is the address of words (PARTS,) of which those where a part ends
+    become 1; 0: they are not asked for.
     """
     kept = memory_size(chain.n, chain.k, chain.m)
-    nodes, reached = np.empty((PARTS + 1, kept)), np.zeros(PARTS + 1, np.int64)
+    nodes, reached = np.empty((layout.PARTS + 1, kept)), np.zeros(layout.PARTS + 1, np.int64)
     path = (chain, inputs, work, past, now, nodes, reached, bend, before)
-    at, length, known, change = 0, PARTS, False, 0.0
+    at, length, known, change = 0, layout.PARTS, False, 0.0
     copy(past.bend, address(nodes), kept)
-    while at < PARTS:
+    while at < layout.PARTS:
         middle, end, shortest, moved = at + length // 2, at + length, length == 2, math.inf
         if not known:  # else it was a half of the part before
             change, _ = continue_path(*path, at, end)
@@ -464,7 +472,33 @@ def ramped(chain, inputs, work, past, now, bend, before):
         same = same and sign_error(chain, nodes, at, middle, end) < layout.SAME_SIGN
         if shortest or same:
             at, length, known = end, end & -end, False  # the longest part that begins there
+            if ends != 0:
+                words(ends)[middle - 1] = words(ends)[end - 1] = 1
         else:
             length, known = length // 2, reached[middle] != 0
     keep(nodes, reached)
     return change
+
+
+@entry()
+def parts(robot, inputs, past, scratch, ends):
+    """
+    Fill `ends` (b, PARTS), see `ramped`, of postures that follow one another, inputs (b, m) [N].
+
+    `past` is the memory before the first; it moves on.
+    """
+    chain, bends = chain_at(robot), np.zeros((2, 3 * chain_at(robot).n))
+    solver = workspace(chain, bends, past, scratch)
+    for b in range(inputs.shape[0]):
+        chain.ramped(
+            chain,
+            address(inputs) + 8 * chain.m * b,
+            solver.work,
+            solver.past,
+            solver.now,
+            solver.bend,
+            solver.before,
+            address(ends[b]),
+        )
+        copy(solver.now.bend, solver.past.bend, memory_size(chain.n, chain.k, chain.m))
+    keep(bends)
