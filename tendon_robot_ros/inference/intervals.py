@@ -432,7 +432,11 @@ def values_with_intervals(fitter: Fitter, fit: Fit, scale: float = 1.0) -> Value
     """Return values of effects to add, with intervals by curvature or profile: `intervals`."""
     values = values_of(fit, scale)
     for free, (low, high) in intervals(fitter, fit, scale).items():
-        values[free.effect][free.key] = replace(values[free.effect][free.key], low=low, high=high)
+        known, parameter = values[free.effect][free.key], free.parameter
+        # slopes that are alike for two parameters determine neither, but their bounds may
+        told = known.note == UNDETERMINED and high - low < parameter.high - parameter.low
+        note = '' if told else known.note
+        values[free.effect][free.key] = replace(known, low=low, high=high, note=note)
     return values
 
 
