@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
-from arms import planar
+from arms import planar, spatial
 from small_dataset import write
 
 from tendon_robot_ros.common.errors import DataSetError
@@ -167,6 +167,31 @@ def test_tangents_of_visits_are_what_small_changes_do(kind, absent):
         up, down = (predictor.markers({**point, free: point[free] + s}) for s in (step, 0.0))
         off, settled_within = np.abs(moves - (up - down) / step).max(), 1e-10 / step
         assert off < 1e-2 * np.abs(moves).max() + settled_within, free.key
+
+
+@pytest.mark.parametrize('path', ['from_straight', 'sequence'])
+@pytest.mark.parametrize('robot', [planar(4, FRICTION), spatial(3, FRICTION)])
+def test_tangents_of_friction_that_a_fit_lets_remember(robot, path):
+    """Whatever was predicted before: fits take turns. By pulls only further solutions show it."""
+    inputs = np.random.default_rng(2).uniform(0.2, 0.8, (5, len(robot.inputs)))
+    data = simulate(robot, inputs, path=path, trials=1)
+    predictor = Predictor(data, robot, load_catalogue())
+    names = ['tendon_friction', 'friction_memory', 'backbone_stiffness']
+    frees = list(frees_of(names, predictor.model.catalogue, robot))
+    # a presliding length that no way is cut otherwise for
+    point = {f: predictor.value(f) if f.effect == names[0] else f.parameter.typical for f in frees}
+    predictor.markers(point)
+    near = predictor.settled
+    predictor.markers({})
+    moves = predictor.tangent(point, frees, near).markers
+    for free, rates in zip(frees, moves, strict=True):
+        step = 1e-4 * free.parameter.typical
+        up, down = (predictor.markers({**point, free: point[free] + s}) for s in (step, -step))
+        off = np.abs(rates - (up - down) / (2.0 * step)).max()
+        assert off < 1e-3 * np.abs(rates).max() + 1e-10 / step, free.key
+    pulled = replace(data, input='displacement', inputs=0.01 * data.inputs)
+    pulled = Predictor(pulled, robot, load_catalogue())
+    assert pulled.tangent(point, frees, near) is None
 
 
 def test_joined_visits_are_predicted_part_by_part():

@@ -384,7 +384,7 @@ def _differences(
     near, at = arm.settled, arm.around
     assert near is not None
     predict: Callable[[], Floats | None] = partial(arm.markers, point, near=near)
-    if arm.can_follow:
+    if arm.dataset.input == 'tension' or not arm.model.friction_remembers:
         along = arm.along_path(point, near)
 
         def predict() -> Floats:

@@ -269,15 +269,16 @@ class Predictor:
         Return the derivatives of equilibria by freed parameters, without solving again.
 
         By the implicit function theorem (`model.derivatives.follow`); where wire pulls are
-        commanded, tensions answer so that taut wires keep theirs. None where only further
-        solutions show them; see `can_follow`.
+        commanded, tensions answer so that taut wires keep theirs. None where friction remembers
+        and pulls are commanded: only further solutions show it.
         """
         catalogue = self.model.catalogue
         stages = {catalogue[free.effect].stage for free in frees if free.effect in catalogue}
-        if not self.can_follow:
+        follows = 'memory' in stages or self.model.friction_remembers  # the way to a posture
+        if follows and self.dataset.input == 'displacement':
             return None
-        remembers = self.carries or self.model.friction_remembers
-        if remembers or (stages & PATH_STAGES and self.dataset.path != 'from_straight'):
+        remembers = self.carries or (stages & PATH_STAGES and self.dataset.path != 'from_straight')
+        if follows or remembers:
             return self._path_tangent(point, frees, settled)
 
         def moves(part: Conditions) -> list[Move]:
@@ -338,11 +339,6 @@ class Predictor:
         """Whether the model remembers, its transmission where wire pulls are commanded."""
         by_pulls = self.dataset.input == 'displacement'
         return self.model.remembers or (by_pulls and self.model.transmission_remembers)
-
-    @property
-    def can_follow(self) -> bool:
-        """Whether `along_path` can: not friction that remembers, where pulls are commanded."""
-        return self.dataset.input == 'tension' or not self.model.friction_remembers
 
     def has_slopes(self, effect: Effect) -> bool:
         """Whether derivatives show an effect that is absent; else only further solutions do."""
