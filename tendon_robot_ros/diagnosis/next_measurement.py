@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
@@ -22,7 +21,7 @@ from ..workspace.postures import default_postures
 from .result import NextMeasurement
 
 GRID_POSTURES_MAX = 400  # [1] of the grid, because each is solved for every effect and parameter
-SLOW_POSTURES_MAX = 40  # [1] of pulls, or where friction remembers, because that takes longer
+SLOW_POSTURES_MAX = 40  # [1] of pulls, or where friction remembers, because these take longer
 UNKNOWN = 1e6  # [SI²] variance of what a fit does not determine, because no parameter is as large
 
 
@@ -59,7 +58,7 @@ def _conditions(
     names = {name for r in group for name in r.candidate.names}
     stages = {session.catalogue[name].stage for name in {*names, *session.robot.effects}}
     if 'memory' in stages:
-        grid = grid[:: math.ceil(len(grid) / SLOW_POSTURES_MAX)]
+        grid = np.random.default_rng(0).permutation(grid)[:SLOW_POSTURES_MAX]
     yield grid, None, None
     gravity = np.array(session.predictor.robot.gravity or (0.0, 0.0, 0.0))
     if names & session.catalogue.needing('gravity') and np.linalg.norm(gravity) > 0.0:
